@@ -1,0 +1,1 @@
+"""The contract: everything a plug-in author reads, and nothing that is heavy to import."""

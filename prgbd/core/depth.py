@@ -1,0 +1,141 @@
+"""The interface of depth networks: ``DepthEstimator``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from prgbd.core.errors import WeightsError
+from prgbd.core.types import DepthPrediction
+
+
+class DepthEstimator(nn.Module, ABC):
+    """A network that predicts depth from one image.
+
+    A subclass sets the three declarations below and implements ``forward``; the rest has working defaults. The
+    constructor takes ``weights`` (a folder or file, or None for a fresh network) besides its own options.
+
+    Attributes:
+        input_size: (height, width) of the images that ``forward`` works best on, pixels.
+        depth_range: (nearest, farthest) depth that the network can express.
+        metric: True if depth is in metres, False if it is up to an unknown scale.
+    """
+
+    input_size: tuple[int, int]
+    depth_range: tuple[float, float]
+    metric: bool = False
+    weights_file: str = "model.pth"
+
+    @abstractmethod
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """Predict depth.
+
+        Args:
+            images: (B, 3, H, W) float RGB in [0, 1].
+
+        Returns:
+            Depth maps finest first, each (B, 1, H_s, W_s), positive and differentiable.
+        """
+
+    def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
+        """Resize an (H, W, 3) uint8 RGB image to ``input_size``: (3, h, w) float32 in [0, 1] on the CPU."""
+        height, width = self.input_size
+        if image.shape[:2] != (height, width):
+            image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        return torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1).float().div_(255.0)
+
+    def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Predict depth at the image's own size, in evaluation mode and without gradients.
+
+        The inverse depth is what is resized (FACTS 2, evaluation), so edges do not smear towards the far side.
+
+        Args:
+            image: (H, W, 3) uint8 RGB.
+
+        Returns:
+            (H, W) float32 depth, metres if ``metric``.
+        """
+        was_training = self.training
+        self.eval()
+        try:
+            with torch.inference_mode():
+                device = next((p.device for p in self.parameters()), torch.device("cpu"))
+                depth = self(self.preprocess(image)[None].to(device)).depth[0, 0].float().cpu().numpy()
+        finally:
+            self.train(was_training)
+        height, width = image.shape[:2]
+        if depth.shape == (height, width):
+            return depth.astype(np.float32)
+        inverse = cv2.resize(1.0 / depth, (width, height), interpolation=cv2.INTER_LINEAR)
+        return (1.0 / inverse).astype(np.float32)
+
+    def pose_network(self) -> nn.Module | None:
+        """Return the pose network that belongs to this network's self-supervised pre-training, or None.
+
+        It is called as ``pose(first, second)`` with two (B, 3, H, W) images in temporal order and returns
+        ``secondTfirst``, (B, 4, 4): the transform that maps points of the first camera to the second.
+        """
+        return None
+
+    def save_weights(self, folder: Path) -> None:
+        """Write the weights into ``folder`` (made if needed) so that ``load_weights`` reads them."""
+        folder.mkdir(parents=True, exist_ok=True)
+        torch.save(self.state_dict(), folder / self.weights_file)
+
+    def load_weights(self, folder: Path) -> None:
+        """Read weights from a folder that ``save_weights`` wrote, or from the file itself.
+
+        Raises:
+            WeightsError: If the file is missing, unreadable or made for another network.
+        """
+        folder = Path(folder)
+        path = folder / self.weights_file if folder.is_dir() else folder
+        load_matching(self, read_state_dict(path), path)
+
+
+def read_state_dict(path: Path) -> dict[str, Any]:
+    """Read a weight file safely (``weights_only=True``) onto the CPU.
+
+    Raises:
+        WeightsError: If the file is missing or not a weight file.
+    """
+    if not path.is_file():
+        raise WeightsError(f"There is no weight file {path}; check the option depth.weights.")
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise WeightsError(f"{path} is not a readable PyTorch weight file ({type(error).__name__}); fetch it again.") from error
+    if not isinstance(state, Mapping):
+        raise WeightsError(f"{path} holds a {type(state).__name__} instead of named weights; choose another file.")
+    return dict(state)
+
+
+def load_matching(module: nn.Module, state: Mapping[str, Any], path: Path) -> None:
+    """Load ``state`` into ``module``, refusing anything that does not fit exactly.
+
+    Raises:
+        WeightsError: With the first names that are missing, unexpected, or of another shape.
+    """
+    own = module.state_dict()
+    missing = [k for k in own if k not in state]
+    unexpected = [k for k in state if k not in own]
+    shapes = [k for k in own if k in state and tuple(state[k].shape) != tuple(own[k].shape)]
+    if missing or unexpected or shapes:
+        parts = [
+            f"{len(names)} {what} (e.g. {names[0]})"
+            for what, names in (("missing", missing), ("unexpected", unexpected), ("of another shape", shapes))
+            if names
+        ]
+        raise WeightsError(
+            f"{path} holds the weights of another network than {type(module).__name__}: {', '.join(parts)} entries; "
+            "choose the weights that belong to the depth plug-in."
+        )
+    module.load_state_dict(dict(state))

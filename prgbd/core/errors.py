@@ -1,0 +1,39 @@
+"""The errors a user can mend. Each message is one sentence that names the file or option and the mend."""
+
+from __future__ import annotations
+
+
+class PrgbdError(Exception):
+    """Base of every error that is the input's fault, not the program's.
+
+    The command line prints the message alone and exits with code 2; anything that is not a
+    ``PrgbdError`` is a bug in prgbd and keeps its traceback.
+    """
+
+
+class ConfigError(PrgbdError):
+    """An option of the command line or of a constructor has a value that cannot work."""
+
+
+class DataError(PrgbdError):
+    """Something that should be read (images, calibration, poses) is absent or malformed."""
+
+
+class WeightsError(PrgbdError):
+    """A weight file is absent, unreadable, or belongs to another network."""
+
+
+class UnknownPluginError(PrgbdError):
+    """No plug-in is registered under the id; the message names the nearest ones."""
+
+
+class BrokenPluginError(PrgbdError):
+    """A plug-in was found, but importing or constructing it failed."""
+
+
+class ContractError(PrgbdError):
+    """A plug-in broke the interface: wrong shape, unit, order of calls, or a value that is not finite."""
+
+
+class SlamError(PrgbdError):
+    """SLAM produced nothing that the next step could use (for example: it never initialised)."""

@@ -1,0 +1,96 @@
+"""The interface of SLAM systems: ``GeometricSLAM``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import StrEnum
+from types import TracebackType
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.types import Frame, PinholeCamera, SlamResult
+
+MODES = ("mono", "rgbd", "stereo")
+
+
+class TrackingState(StrEnum):
+    """What a SLAM system says of one frame."""
+
+    NOT_INITIALIZED = "not_initialized"
+    OK = "ok"
+    LOST = "lost"
+    COLLECTED = "collected"  # an offline system has stored the frame and decides in ``finish``
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """The answer to one frame.
+
+    Attributes:
+        state: What became of the frame.
+        wTc: (4, 4) float64 camera-to-world as known now, or None without a pose.
+        inliers: Number of map points that agree with the pose.
+        is_keyframe: Whether the frame was made a keyframe.
+    """
+
+    state: TrackingState
+    wTc: NDArray[np.float64] | None = None
+    inliers: int = 0
+    is_keyframe: bool = False
+
+
+class GeometricSLAM(ABC):
+    """A SLAM system: ``reset``, then ``track`` once per frame in order, then ``finish``; ``close`` frees everything.
+
+    Pseudo RGB-D is mode ``rgbd`` with frames whose depth comes from a ``DepthEstimator`` and whose ``baseline`` is the
+    adaptive virtual one (FACTS 1). Lost tracking is a result, not an exception. An offline system collects frames in
+    ``track`` and works in ``finish``. A system is a context manager that closes itself.
+
+    Attributes:
+        modes: The modes that the system supports, out of ``mono``, ``rgbd``, ``stereo``.
+    """
+
+    modes: ClassVar[frozenset[str]] = frozenset()
+
+    @abstractmethod
+    def reset(
+        self, camera: PinholeCamera, mode: str, *, baseline: float | None = None, fps: float = 30.0, seed: int = 0
+    ) -> None:
+        """Forget everything and get ready for a sequence.
+
+        Args:
+            camera: Camera of the frames, undistorted.
+            mode: One of ``modes``.
+            baseline: Metres between the (virtual) stereo pair; needed for ``rgbd`` and ``stereo``, None for ``mono``.
+            fps: Frame rate, for the keyframe decision.
+            seed: Seed of everything random.
+
+        Raises:
+            ConfigError: If the mode is not supported or the baseline is missing or not positive.
+        """
+
+    @abstractmethod
+    def track(self, frame: Frame) -> TrackingResult:
+        """Take in the next frame.
+
+        Raises:
+            ContractError: If the frame does not fit the camera or lacks the depth or right image that the mode needs.
+        """
+
+    @abstractmethod
+    def finish(self) -> SlamResult:
+        """End the sequence and return all that was found; a map-wide optimisation may run here."""
+
+    def close(self) -> None:  # noqa: B027 - optional to override
+        """Free threads, files and memory; safe to call twice."""
+
+    def __enter__(self) -> GeometricSLAM:
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        self.close()
