@@ -1,0 +1,100 @@
+"""Files that are written whole or not at all, and JSON that reads back anywhere."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prgbd.core.errors import DataError
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary path beside ``path`` that replaces it once the block ends without an exception.
+
+    A reader sees the old file or the new one, never half of it, even if the program is killed. The temporary name
+    keeps the suffix, because writers such as ``numpy.savez`` choose by it. A folder works too where the target does
+    not exist yet (or is empty).
+
+    Args:
+        path: The file to write; its folder is made if needed.
+
+    Yields:
+        The path to write to, in the same folder.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{uuid.uuid4().hex[:8]}.tmp{path.suffix}")
+    try:
+        yield temporary
+        if temporary.is_file():
+            _flush(temporary)
+        os.replace(temporary, path)
+    except BaseException:
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def _flush(path: Path) -> None:
+    """Bring the file's content to the disk before its name, so that a power cut cannot leave an empty file."""
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
+
+
+def to_plain(value: Any) -> Any:
+    """Return ``value`` as what JSON knows: numpy scalars and arrays become numbers and lists, NaN and infinity None.
+
+    Raises:
+        TypeError: If something in it has no plain form.
+    """
+    if value is None or isinstance(value, str | bool | int) and not isinstance(value, np.generic):
+        return str(value) if isinstance(value, str) else value
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        return to_plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(k): to_plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [to_plain(v) for v in (sorted(value) if isinstance(value, set | frozenset) else value)]
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"A {type(value).__name__} has no place in JSON: {value!r}")
+
+
+def write_json(path: Path | str, obj: Any) -> None:
+    """Write ``obj`` as indented JSON, whole or not at all; NaN and infinity become null (see ``to_plain``)."""
+    text = json.dumps(to_plain(obj), indent=2, ensure_ascii=False, allow_nan=False)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: Path | str) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        DataError: If the file is missing or is not JSON.
+    """
+    path = Path(path)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"Cannot read {path} ({error.strerror}); check that the path is right.") from error
+    except ValueError as error:  # JSONDecodeError and UnicodeDecodeError
+        raise DataError(f"{path} is not valid JSON ({error}); delete it so that it is written again.") from error
