@@ -59,14 +59,12 @@ def to_plain(value: Any) -> Any:
     Raises:
         TypeError: If something in it has no plain form.
     """
-    if value is None or isinstance(value, str | bool | int) and not isinstance(value, np.generic):
-        return str(value) if isinstance(value, str) else value
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str | bool | int):
+        return value
     if isinstance(value, np.ndarray):
         return to_plain(value.tolist())
     if isinstance(value, Mapping):
