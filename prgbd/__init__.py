@@ -1,0 +1,110 @@
+"""prgbd: a depth network and a geometric SLAM system that improve each other from unlabelled monocular video.
+
+The public face. Names are imported when they are first used, so ``import prgbd`` stays light.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import prgbd.plugins  # registers the built-in ids; imports none of them  # noqa: F401
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "prgbd.core.types": (
+        "DepthPrediction",
+        "Frame",
+        "Keyframes",
+        "MapPoints",
+        "Observations",
+        "PinholeCamera",
+        "SlamResult",
+        "Trajectory",
+    ),
+    "prgbd.core.depth": ("DepthEstimator",),
+    "prgbd.core.slam": ("GeometricSLAM", "TrackingResult", "TrackingState"),
+    "prgbd.core.data": ("Sequence",),
+    "prgbd.core.registry": (
+        "PluginSpec",
+        "make_data",
+        "make_depth",
+        "make_sequences",
+        "make_slam",
+        "register_data",
+        "register_depth",
+        "register_slam",
+    ),
+    "prgbd.core.conformance": ("check_depth_estimator", "check_sequence", "check_slam"),
+    "prgbd.core.errors": ("PrgbdError",),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "DepthEstimator",
+    "DepthPrediction",
+    "Frame",
+    "GeometricSLAM",
+    "Keyframes",
+    "MapPoints",
+    "Observations",
+    "PinholeCamera",
+    "PluginSpec",
+    "PrgbdError",
+    "Sequence",
+    "SlamResult",
+    "TrackingResult",
+    "TrackingState",
+    "Trajectory",
+    "__version__",
+    "check_depth_estimator",
+    "check_sequence",
+    "check_slam",
+    "make_data",
+    "make_depth",
+    "make_sequences",
+    "make_slam",
+    "register_data",
+    "register_depth",
+    "register_slam",
+]
+
+if TYPE_CHECKING:
+    from prgbd.core.conformance import check_depth_estimator, check_sequence, check_slam
+    from prgbd.core.data import Sequence
+    from prgbd.core.depth import DepthEstimator
+    from prgbd.core.errors import PrgbdError
+    from prgbd.core.registry import (
+        PluginSpec,
+        make_data,
+        make_depth,
+        make_sequences,
+        make_slam,
+        register_data,
+        register_depth,
+        register_slam,
+    )
+    from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
+    from prgbd.core.types import (
+        DepthPrediction,
+        Frame,
+        Keyframes,
+        MapPoints,
+        Observations,
+        PinholeCamera,
+        SlamResult,
+        Trajectory,
+    )
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'prgbd' has no attribute '{name}'")
+    value = getattr(importlib.import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

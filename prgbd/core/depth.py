@@ -49,7 +49,7 @@ class DepthEstimator(nn.Module, ABC):
         """Resize an (H, W, 3) uint8 RGB image to ``input_size``: (3, h, w) float32 in [0, 1] on the CPU."""
         height, width = self.input_size
         if image.shape[:2] != (height, width):
-            image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+            image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
         return torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1).float().div_(255.0)
 
     def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -112,7 +112,9 @@ def read_state_dict(path: Path) -> dict[str, Any]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        raise WeightsError(f"{path} is not a readable PyTorch weight file ({type(error).__name__}); fetch it again.") from error
+        raise WeightsError(
+            f"{path} is not a readable PyTorch weight file ({type(error).__name__}); fetch it again."
+        ) from error
     if not isinstance(state, Mapping):
         raise WeightsError(f"{path} holds a {type(state).__name__} instead of named weights; choose another file.")
     return dict(state)

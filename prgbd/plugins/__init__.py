@@ -1,0 +1,22 @@
+"""The plug-ins that come with prgbd, registered by the same call as anybody's; nothing is imported here."""
+
+from __future__ import annotations
+
+from prgbd.core.registry import REGISTRY, PluginSpec
+
+BUILT_IN = (
+    ("depth", "monodepth2", "monodepth2:Monodepth2", "Monodepth2, ResNet-18; reads the official weight files"),
+    ("depth", "rt_monodepth", "rt_monodepth:RTMonoDepth", "RT-MonoDepth-S, 1.2 M parameters, for slow machines"),
+    ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: mono, rgbd"),
+    ("data", "synthetic", "synthetic:SyntheticSequence", "procedural street or indoor world with true poses and depth"),
+    ("data", "kitti_odometry", "kitti_odometry:KittiOdometrySequence", "KITTI odometry sequences 00-21"),
+    ("data", "seven_scenes", "seven_scenes:SevenScenesSequence", "Microsoft 7-Scenes, hand-held Kinect"),
+    ("data", "tum_rgbd", "tum_rgbd:TumRgbdSequence", "TUM RGB-D recordings, undistorted"),
+    ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),
+    ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),
+)
+
+for _kind, _id, _target, _description in BUILT_IN:
+    REGISTRY.register(
+        PluginSpec(_kind, _id, f"prgbd.plugins.{_kind}.{_target}", _description, origin="built-in"), override=True
+    )

@@ -1,0 +1,168 @@
+"""Passive checks: what runs around every plug-in unless ``checks=False``, as Gymnasium's environment checker does."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.data import Sequence
+from prgbd.core.errors import ConfigError, ContractError
+from prgbd.core.slam import GeometricSLAM, TrackingResult
+from prgbd.core.types import Frame, PinholeCamera, SlamResult
+from prgbd.core.validation import (
+    check_depth_map,
+    check_frame,
+    check_prediction,
+    check_slam_result,
+    check_tracking_result,
+    require,
+)
+
+
+def with_checks(kind: str, plugin_id: str, plugin: Any) -> Any:
+    """Return ``plugin`` with the passive checks of its kind around it."""
+    who = f"The {kind} plug-in '{plugin_id}'"
+    if kind == "slam":
+        return CheckedSLAM(plugin, who)
+    if kind == "data":
+        return CheckedSequence(plugin, who)
+    _check_declarations(plugin, who)
+    plugin.register_forward_hook(functools.partial(_check_forward, who))
+    return plugin
+
+
+def _check_declarations(estimator: Any, who: str) -> None:
+    size = getattr(estimator, "input_size", None)
+    require(
+        isinstance(size, tuple) and len(size) == 2 and all(int(v) > 0 for v in size),
+        who,
+        f"declares input_size={size!r}; it must be (height, width) in pixels.",
+    )
+    near_far = getattr(estimator, "depth_range", None)
+    require(
+        isinstance(near_far, tuple) and len(near_far) == 2 and 0 < near_far[0] < near_far[1],
+        who,
+        f"declares depth_range={near_far!r}; it must be (nearest, farthest) with 0 < nearest < farthest.",
+    )
+
+
+def _check_forward(who: str, module: Any, inputs: tuple[Any, ...], output: Any) -> None:
+    check_prediction(output, inputs[0], who)
+
+
+class CheckedSLAM(GeometricSLAM):
+    """A SLAM system that is held to the order of calls, to its inputs and to its outputs."""
+
+    def __init__(self, system: GeometricSLAM, who: str) -> None:
+        self.unwrapped = system
+        self.modes = system.modes  # type: ignore[misc]
+        self._who = who
+        self._camera: PinholeCamera | None = None
+        self._mode = ""
+        self._frames = 0
+        self._last = -np.inf
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "unwrapped":
+            raise AttributeError(name)
+        return getattr(self.unwrapped, name)
+
+    def reset(
+        self, camera: PinholeCamera, mode: str, *, baseline: float | None = None, fps: float = 30.0, seed: int = 0
+    ) -> None:
+        """See ``GeometricSLAM.reset``."""
+        if mode not in self.modes:
+            raise ConfigError(f"{self._who} has no mode '{mode}'; it supports {', '.join(sorted(self.modes))}.")
+        if mode != "mono" and (baseline is None or not np.isfinite(baseline) or baseline <= 0):
+            raise ConfigError(f"Mode '{mode}' needs a positive baseline in metres, got {baseline}; set slam.baseline.")
+        if not np.isfinite(fps) or fps <= 0:
+            raise ConfigError(f"The frame rate must be positive, got {fps}; check the time stamps or set data.fps.")
+        self.unwrapped.reset(camera, mode, baseline=baseline, fps=fps, seed=seed)
+        self._camera, self._mode, self._frames, self._last = camera, mode, 0, -np.inf
+
+    def track(self, frame: Frame) -> TrackingResult:
+        """See ``GeometricSLAM.track``."""
+        if self._camera is None:
+            raise ContractError(f"{self._who} was asked to track before reset; call reset first.")
+        check_frame(frame, self._camera, "The caller of track")
+        require(
+            frame.timestamp > self._last,
+            f"Frame {frame.index}",
+            f"has the time stamp {frame.timestamp:g} s, not later than the frame before ({self._last:g} s).",
+        )
+        if self._mode == "rgbd" and frame.depth is None:
+            raise ContractError(f"Frame {frame.index} has no depth, which mode 'rgbd' needs; use mode 'mono'.")
+        if self._mode == "stereo" and frame.right is None:
+            raise ContractError(f"Frame {frame.index} has no right image, which mode 'stereo' needs; use mode 'mono'.")
+        result = self.unwrapped.track(frame)
+        check_tracking_result(result, self._who)
+        self._frames += 1
+        self._last = frame.timestamp
+        return result
+
+    def finish(self) -> SlamResult:
+        """See ``GeometricSLAM.finish``."""
+        if self._camera is None:
+            raise ContractError(f"{self._who} was asked to finish before reset; call reset first.")
+        result = self.unwrapped.finish()
+        check_slam_result(result, self._frames, self._who)
+        self._camera = None
+        return result
+
+    def close(self) -> None:
+        """See ``GeometricSLAM.close``."""
+        self.unwrapped.close()
+
+
+class CheckedSequence(Sequence):
+    """A recording whose declarations and frames are checked as they are read."""
+
+    def __init__(self, sequence: Sequence, who: str) -> None:
+        self.unwrapped = sequence
+        self._who = who
+        stamps = np.asarray(getattr(sequence, "timestamps", ()), np.float64)
+        require(stamps.ndim == 1 and len(stamps) > 0, who, "has no frames; check its folder and its options.")
+        require(np.isfinite(stamps).all() and np.all(np.diff(stamps) > 0), who, "has time stamps that do not ascend.")
+        require(isinstance(getattr(sequence, "camera", None), PinholeCamera), who, "declares no camera.")
+        self.name, self.camera, self.timestamps = sequence.name, sequence.camera, stamps
+        self.baseline = sequence.baseline
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "unwrapped":
+            raise AttributeError(name)
+        return getattr(self.unwrapped, name)
+
+    def __len__(self) -> int:
+        return len(self.unwrapped)
+
+    def frame(self, index: int) -> Frame:
+        """See ``Sequence.frame``."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        frame = self.unwrapped.frame(index)
+        check_frame(frame, self.camera, self._who)
+        return frame
+
+    @property
+    def poses(self) -> NDArray[np.float64] | None:
+        """See ``Sequence.poses``."""
+        poses = self.unwrapped.poses
+        if poses is not None:
+            fits = poses.shape == (len(self), 4, 4)
+            require(fits, self._who, f"gives poses of shape {poses.shape} for {len(self)} frames.")
+        return poses
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        """See ``Sequence.depth``."""
+        depth = self.unwrapped.depth(index)
+        if depth is not None:
+            check_depth_map(depth, (self.camera.height, self.camera.width), f"{self._who}, frame {index},")
+        return depth
+
+    @property
+    def fps(self) -> float:
+        """See ``Sequence.fps``."""
+        return self.unwrapped.fps

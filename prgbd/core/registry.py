@@ -1,0 +1,295 @@
+"""The registry: ids to lazily imported classes, for built-ins and third-party packages alike.
+
+A plug-in is an id (``name`` or ``namespace/name``, optional ``-vN``), a ``module:Class`` that is imported only when
+the plug-in is made, default keyword arguments and a one-line description. Packages bring plug-ins through the entry
+point groups ``prgbd.depth``, ``prgbd.slam`` and ``prgbd.data`` (name = id, value = ``module:Class``).
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, PrgbdError, UnknownPluginError
+
+if TYPE_CHECKING:
+    from prgbd.core.data import Sequence
+    from prgbd.core.depth import DepthEstimator
+    from prgbd.core.slam import GeometricSLAM
+
+INTERFACES = {
+    "depth": "prgbd.core.depth:DepthEstimator",
+    "slam": "prgbd.core.slam:GeometricSLAM",
+    "data": "prgbd.core.data:Sequence",
+}
+KINDS = tuple(INTERFACES)
+ID_PATTERN = re.compile(r"^(?:(?P<namespace>[\w.-]+)/)?(?P<name>[A-Za-z_][\w.-]*?)(?:-v(?P<version>\d+))?$")
+
+
+@dataclass(frozen=True)
+class PluginSpec:
+    """What is known of a plug-in before it is imported.
+
+    Attributes:
+        kind: ``depth``, ``slam`` or ``data``.
+        id: The full id, ``[namespace/]name[-vN]``.
+        target: ``module:Class``.
+        description: One line for listings.
+        origin: Where it comes from: ``built-in``, ``registered in code`` or a distribution with its version.
+        kwargs: Default keyword arguments of the class.
+    """
+
+    kind: str
+    id: str
+    target: str
+    description: str = ""
+    origin: str = "registered in code"
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def versionless(self) -> str:
+        """The id without its version."""
+        return self.id.rsplit("-v", 1)[0] if self.version is not None else self.id
+
+    @property
+    def version(self) -> int | None:
+        """The version number, or None."""
+        found = parse_id(self.id)["version"]
+        return None if found is None else int(found)
+
+
+def parse_id(plugin_id: str) -> dict[str, str | None]:
+    """Split an id into ``namespace``, ``name`` and ``version``.
+
+    Raises:
+        ConfigError: If the text is not an id.
+    """
+    found = ID_PATTERN.match(plugin_id)
+    if found is None:
+        raise ConfigError(f"'{plugin_id}' is no plug-in id; write [namespace/]name[-vN], for example 'lab/mynet-v1'.")
+    return found.groupdict()
+
+
+class Registry:
+    """All plug-ins of all kinds. One instance, ``prgbd.core.registry.REGISTRY``, serves the process."""
+
+    def __init__(self) -> None:
+        self._specs: dict[tuple[str, str], PluginSpec] = {}
+
+    def register(self, spec: PluginSpec, *, override: bool = False) -> None:
+        """Add a plug-in; nothing is imported.
+
+        Raises:
+            ConfigError: If the kind, id or target is malformed, or the id is taken and ``override`` is False.
+        """
+        _check_kind(spec.kind)
+        parse_id(spec.id)
+        if not re.fullmatch(r"[\w.]+:[\w.]+", spec.target):
+            raise ConfigError(f"The target '{spec.target}' of the plug-in '{spec.id}' must be written 'module:Class'.")
+        if (spec.kind, spec.id) in self._specs and not override:
+            raise ConfigError(
+                f"The {spec.kind} plug-in id '{spec.id}' is taken already; choose another id or pass override=True."
+            )
+        self._specs[(spec.kind, spec.id)] = spec
+
+    def specs(self, kind: str) -> list[PluginSpec]:
+        """Return every plug-in of a kind, registered ones first, then those of installed packages."""
+        _check_kind(kind)
+        found = {spec_id: spec for (k, spec_id), spec in self._specs.items() if k == kind}
+        for entry in metadata.entry_points(group=f"prgbd.{kind}"):
+            origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "entry point"
+            spec = PluginSpec(kind, entry.name, entry.value, _summary(entry), origin)
+            if ID_PATTERN.match(entry.name):
+                found.setdefault(entry.name, spec)
+        return list(found.values())
+
+    def resolve(self, kind: str, plugin_id: str) -> PluginSpec:
+        """Find a plug-in by id; an id without version means the newest version.
+
+        Raises:
+            UnknownPluginError: With the nearest ids.
+        """
+        specs = {spec.id: spec for spec in self.specs(kind)}
+        if plugin_id in specs:
+            return specs[plugin_id]
+        versions = [s for s in specs.values() if s.version is not None and s.versionless == plugin_id]
+        if versions:
+            return max(versions, key=lambda s: s.version or 0)
+        near = difflib.get_close_matches(plugin_id, list(specs), n=3, cutoff=0.5)
+        near += [s for s in specs if s not in near and parse_id(s)["name"] == plugin_id.rsplit("/", 1)[-1]]
+        hint = f"did you mean {_listed(near)}?" if near else f"there are {_listed(sorted(specs))}."
+        raise UnknownPluginError(f"There is no {kind} plug-in '{plugin_id}'; {hint}")
+
+    def load(self, spec: PluginSpec) -> type[Any]:
+        """Import the class of a plug-in.
+
+        Raises:
+            BrokenPluginError: If the import fails; the message names the plug-in and the package it comes from.
+            ContractError: If the class does not implement the interface of its kind.
+        """
+        try:
+            target = _import(spec.target)
+        except Exception as error:
+            raise BrokenPluginError(
+                f"The {spec.kind} plug-in '{spec.id}' ({spec.origin}) could not be imported from {spec.target}: "
+                f"{type(error).__name__}: {error}; mend or uninstall it."
+            ) from error
+        interface = _import(INTERFACES[spec.kind])
+        if not (inspect.isclass(target) and issubclass(target, interface)):
+            raise ContractError(
+                f"The {spec.kind} plug-in '{spec.id}' ({spec.origin}) is no subclass of prgbd.{interface.__name__}; "
+                f"derive {spec.target} from it."
+            )
+        return target
+
+    def options(self, kind: str, plugin_id: str) -> dict[str, inspect.Parameter]:
+        """Return the constructor's keyword options of a plug-in (imports it)."""
+        return _options(self.load(self.resolve(kind, plugin_id)))
+
+    def make(self, kind: str, plugin_id: str, *, checks: bool = True, **kwargs: Any) -> Any:
+        """Make a plug-in, with the passive checks around it unless ``checks`` is False.
+
+        Raises:
+            UnknownPluginError: If the id is not registered.
+            BrokenPluginError: If importing or constructing it fails.
+            ConfigError: If it has no option of a given name.
+        """
+        from prgbd.core.passive import with_checks
+
+        spec = self.resolve(kind, plugin_id)
+        cls = self.load(spec)
+        arguments = {**spec.kwargs, **kwargs}
+        _check_options(spec, cls, arguments)
+        try:
+            plugin = cls(**arguments)
+        except PrgbdError:
+            raise
+        except Exception as error:
+            raise BrokenPluginError(
+                f"The {kind} plug-in '{spec.id}' ({spec.origin}) could not be made: {type(error).__name__}: {error}; "
+                "check its options or mend it."
+            ) from error
+        return with_checks(kind, spec.id, plugin) if checks else plugin
+
+    def make_sequences(
+        self, plugin_id: str, sequences: list[str] | None = None, *, checks: bool = True, **kwargs: Any
+    ) -> list[Sequence]:
+        """Make several recordings of one data set; all that are available when ``sequences`` is None.
+
+        Raises:
+            DataError: If the data set or a named recording is absent.
+        """
+        if sequences is None:
+            spec = self.resolve("data", plugin_id)
+            cls = self.load(spec)
+            arguments = {**spec.kwargs, **kwargs}
+            _check_options(spec, cls, arguments)
+            names: list[Any] = cls.available(**arguments)
+        else:
+            names = list(sequences)
+        if not names:
+            raise ConfigError(f"No sequence of '{plugin_id}' was chosen; name at least one in data.sequences.")
+        return [self.make("data", plugin_id, checks=checks, **kwargs, sequence=name) for name in names]
+
+
+REGISTRY = Registry()
+
+
+def register_depth(
+    plugin_id: str, target: str, description: str = "", *, override: bool = False, **kwargs: Any
+) -> None:
+    """Register a depth estimator: an id, a lazy ``module:Class`` and default keyword arguments."""
+    REGISTRY.register(PluginSpec("depth", plugin_id, target, description, kwargs=kwargs), override=override)
+
+
+def register_slam(plugin_id: str, target: str, description: str = "", *, override: bool = False, **kwargs: Any) -> None:
+    """Register a SLAM system: an id, a lazy ``module:Class`` and default keyword arguments."""
+    REGISTRY.register(PluginSpec("slam", plugin_id, target, description, kwargs=kwargs), override=override)
+
+
+def register_data(plugin_id: str, target: str, description: str = "", *, override: bool = False, **kwargs: Any) -> None:
+    """Register a data set: an id, a lazy ``module:Class`` and default keyword arguments."""
+    REGISTRY.register(PluginSpec("data", plugin_id, target, description, kwargs=kwargs), override=override)
+
+
+def make_depth(plugin_id: str, **kwargs: Any) -> DepthEstimator:
+    """Make a depth estimator by id, e.g. ``make_depth("monodepth2", weights="folder")``."""
+    made: DepthEstimator = REGISTRY.make("depth", plugin_id, **kwargs)
+    return made
+
+
+def make_slam(plugin_id: str, **kwargs: Any) -> GeometricSLAM:
+    """Make a SLAM system by id, e.g. ``make_slam("orb_gtsam", features=2000)``."""
+    made: GeometricSLAM = REGISTRY.make("slam", plugin_id, **kwargs)
+    return made
+
+
+def make_data(plugin_id: str, *, sequences: list[str] | None = None, **kwargs: Any) -> Sequence:
+    """Make one recording by id, e.g. ``make_data("kitti_odometry", root="kitti", sequence="00")``.
+
+    ``sequences`` with one name is accepted in place of ``sequence``; for several use ``make_sequences``.
+
+    Raises:
+        ConfigError: If ``sequences`` names several recordings.
+    """
+    if sequences is not None:
+        if len(sequences) != 1:
+            raise ConfigError("make_data makes one recording; use make_sequences for several.")
+        kwargs["sequence"] = sequences[0]
+    made: Sequence = REGISTRY.make("data", plugin_id, **kwargs)
+    return made
+
+
+def make_sequences(plugin_id: str, sequences: list[str] | None = None, **kwargs: Any) -> list[Sequence]:
+    """Make several recordings of one data set by id; all that are available when ``sequences`` is None."""
+    return REGISTRY.make_sequences(plugin_id, sequences, **kwargs)
+
+
+def specs(kind: str) -> list[PluginSpec]:
+    """Return every plug-in of a kind without importing any."""
+    return REGISTRY.specs(kind)
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        raise ConfigError(f"'{kind}' is no kind of plug-in; the kinds are {_listed(list(KINDS))}.")
+
+
+def _import(target: str) -> Any:
+    module, _, name = target.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in name.split("."):
+        found = getattr(found, part)
+    return found
+
+
+def _options(cls: type[Any]) -> dict[str, inspect.Parameter]:
+    parameters = inspect.signature(cls).parameters
+    return {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+
+
+def _check_options(spec: PluginSpec, cls: type[Any], arguments: Mapping[str, Any]) -> None:
+    """Refuse options that the class does not have; classes that take ``**kwargs`` judge for themselves."""
+    if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls).parameters.values()):
+        return
+    known = _options(cls)
+    for name in arguments:
+        if name not in known:
+            near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+            hint = f"did you mean {_listed(near)}?" if near else f"its options are {_listed(sorted(known))}."
+            raise ConfigError(f"The {spec.kind} plug-in '{spec.id}' has no option '{name}'; {hint}")
+
+
+def _summary(entry: metadata.EntryPoint) -> str:
+    """The one line that a package says of itself: an entry point carries no description of its own."""
+    return str(entry.dist.metadata["Summary"] or "") if entry.dist else ""
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"'{n}'" for n in names) or "none"

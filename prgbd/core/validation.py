@@ -1,0 +1,131 @@
+"""What must hold of the values that cross an interface; each function raises a one-sentence ``ContractError``.
+
+Used by the passive checks, which run with every plug-in, and by the conformance checks of plug-in authors.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from prgbd.core.errors import ContractError
+from prgbd.core.slam import TrackingResult, TrackingState
+from prgbd.core.types import DepthPrediction, Frame, PinholeCamera, SlamResult
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def require(condition: Any, who: str, what: str) -> None:
+    """Raise ``ContractError`` with ``who`` and ``what`` unless the condition holds."""
+    if not condition:
+        raise ContractError(f"{who} {what}")
+
+
+def check_pose(wTc: Any, who: str) -> None:
+    """Require a finite 4x4 rigid transform."""
+    pose = np.asarray(wTc)
+    require(pose.shape == (4, 4), who, f"gave a pose of shape {pose.shape}; it must be (4, 4).")
+    require(np.isfinite(pose).all(), who, "gave a pose that is not finite; return None for a frame without a pose.")
+    rotation = pose[:3, :3]
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
+    require(
+        orthonormal and np.allclose(pose[3], [0, 0, 0, 1]),
+        who,
+        "gave a pose that is no rigid transform; its rotation must be orthonormal and its last row 0 0 0 1.",
+    )
+
+
+def check_depth_map(depth: Any, shape: tuple[int, int], who: str, *, allow_unknown: bool = True) -> None:
+    """Require an (H, W) float32 map of finite depth, with 0 for unknown if that is allowed."""
+    require(
+        isinstance(depth, np.ndarray) and depth.shape == shape,
+        who,
+        f"gave depth of shape {getattr(depth, 'shape', type(depth).__name__)}; it must be {shape} like the image.",
+    )
+    require(depth.dtype == np.float32, who, f"gave depth as {depth.dtype}; it must be float32.")
+    bad = int(np.count_nonzero(~np.isfinite(depth)))
+    require(bad == 0, who, f"gave {bad} depth values that are NaN or infinite; mark unknown depth with 0.")
+    lowest = float(depth.min()) if depth.size else 0.0
+    require(lowest >= 0 if allow_unknown else lowest > 0, who, f"gave a depth of {lowest:g}; depth must be positive.")
+
+
+def check_frame(frame: Any, camera: PinholeCamera, who: str) -> None:
+    """Require an RGB uint8 image, and depth and right image, of the camera's size."""
+    require(isinstance(frame, Frame), who, f"gave a {type(frame).__name__} where a prgbd.Frame belongs.")
+    shape = (camera.height, camera.width)
+    for name, image in (("image", frame.image), ("right image", frame.right)):
+        if image is None and name == "right image":
+            continue
+        fits = isinstance(image, np.ndarray) and image.shape == (*shape, 3) and image.dtype == np.uint8
+        found = f"{getattr(image, 'shape', None)} {getattr(image, 'dtype', type(image).__name__)}"
+        require(fits, who, f"gave an {name} {found}; the camera asks for {(*shape, 3)} uint8 RGB.")
+    require(np.isfinite(frame.timestamp), who, f"gave frame {frame.index} a time stamp that is not finite.")
+    if frame.depth is not None:
+        check_depth_map(frame.depth, shape, f"{who}, frame {frame.index},")
+
+
+def check_prediction(prediction: Any, images: Tensor, who: str) -> None:
+    """Require a ``DepthPrediction`` of positive, finite maps, finest first, for a (B, 3, H, W) batch."""
+    import torch
+
+    require(
+        isinstance(prediction, DepthPrediction) and len(prediction.depths) > 0,
+        who,
+        f"returned a {type(prediction).__name__} from forward; it must be a prgbd.DepthPrediction with depth maps.",
+    )
+    widths = []
+    for depth in prediction.depths:
+        shape = tuple(depth.shape)
+        require(
+            len(shape) == 4 and shape[0] == images.shape[0] and shape[1] == 1,
+            who,
+            f"returned depth of shape {shape}; it must be ({images.shape[0]}, 1, H, W).",
+        )
+        # One reduction for both conditions: NaN and infinity fail the comparisons as well.
+        fine = bool(((depth.detach() > 0) & (depth.detach() < torch.inf)).all())
+        require(fine, who, "returned depth that is zero, negative, NaN or infinite; depth must be positive and finite.")
+        widths.append(shape[3])
+    require(widths == sorted(widths, reverse=True), who, f"returned scales of widths {widths}; put the finest first.")
+
+
+def check_tracking_result(result: Any, who: str) -> None:
+    """Require a ``TrackingResult`` whose pose fits its state."""
+    require(
+        isinstance(result, TrackingResult) and isinstance(result.state, TrackingState),
+        who,
+        f"returned a {type(result).__name__} from track; it must be a prgbd.TrackingResult with a TrackingState.",
+    )
+    if result.state is TrackingState.OK:
+        require(result.wTc is not None, who, "says a frame is tracked but gives no pose.")
+    if result.wTc is not None:
+        check_pose(result.wTc, who)
+
+
+def check_slam_result(result: Any, frames: int, who: str) -> None:
+    """Require a ``SlamResult`` whose columns agree with each other and with the number of frames."""
+    require(isinstance(result, SlamResult), who, f"returned a {type(result).__name__} from finish, not a SlamResult.")
+    require(result.frames == frames, who, f"counts {result.frames} frames but was given {frames}.")
+    require(
+        len(result.states) == frames and len(result.inliers) == frames,
+        who,
+        f"reports {len(result.states)} states and {len(result.inliers)} inlier counts for {frames} frames.",
+    )
+    trajectory, keyframes, observations = result.trajectory, result.keyframes, result.observations
+    n = len(trajectory)
+    require(
+        trajectory.wTc.shape == (n, 4, 4) and np.isfinite(trajectory.wTc).all(),
+        who,
+        "gives a trajectory with poses that are not finite (N, 4, 4).",
+    )
+    require(np.all(np.diff(trajectory.frame_index) > 0), who, "gives a trajectory whose frames do not ascend.")
+    for pose in trajectory.wTc[:1]:
+        check_pose(pose, who)
+    require(np.isfinite(result.points.xyz).all(), who, "gives map points that are not finite.")
+    m = len(observations)
+    if m:
+        inside = observations.keyframe.min() >= 0 and observations.keyframe.max() < len(keyframes)
+        inside = inside and observations.point.min() >= 0 and observations.point.max() < len(result.points)
+        require(inside, who, "gives observations of keyframes or points that do not exist.")
+        require(observations.uv.shape == (m, 2) and observations.depth.shape == (m,), who, "gives ragged observations.")

@@ -1,0 +1,118 @@
+import sys
+
+import pytest
+
+import prgbd
+from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, UnknownPluginError
+from prgbd.core.registry import PluginSpec, Registry, parse_id
+
+
+def spec(plugin_id: str, target: str = "tests.core.plugins:Constant", kind: str = "depth", **kwargs) -> PluginSpec:
+    return PluginSpec(kind, plugin_id, target, kwargs=kwargs)
+
+
+@pytest.fixture
+def registry() -> Registry:
+    return Registry()
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("net", (None, "net", None)),
+        ("net-v2", (None, "net", "2")),
+        ("lab/net", ("lab", "net", None)),
+        ("lab/my-net-v12", ("lab", "my-net", "12")),
+        ("my-very-net", (None, "my-very-net", None)),
+    ],
+)
+def test_ids_have_namespace_name_and_version(text, parts) -> None:
+    assert tuple(parse_id(text).values()) == parts
+
+
+@pytest.mark.parametrize("text", ["", "a/b/c", "9net", "net v1", "/net"])
+def test_malformed_ids_are_refused(registry, text) -> None:
+    with pytest.raises(ConfigError, match="no plug-in id"):
+        registry.register(spec(text))
+
+
+def test_an_id_without_version_means_the_newest(registry) -> None:
+    for plugin_id in ("net-v2", "net-v10", "net-v9"):
+        registry.register(spec(plugin_id))
+    assert registry.resolve("depth", "net").id == "net-v10"
+    assert registry.resolve("depth", "net-v2").id == "net-v2"
+    with pytest.raises(UnknownPluginError, match="net-v"):
+        registry.resolve("depth", "net-v3")
+
+
+def test_registering_imports_nothing(registry) -> None:
+    registry.register(spec("absent", "no_such_module:Thing"))
+    assert "absent" in [s.id for s in registry.specs("depth")]
+    assert "no_such_module" not in sys.modules
+
+
+def test_a_broken_plugin_is_named_and_hurts_nobody_else(registry) -> None:
+    registry.register(spec("absent", "no_such_module:Thing"))
+    registry.register(spec("fine"))
+    with pytest.raises(BrokenPluginError, match=r"'absent'.*no_such_module"):
+        registry.make("depth", "absent")
+    assert registry.make("depth", "fine") is not None
+
+
+def test_an_unknown_id_answers_with_the_nearest() -> None:
+    with pytest.raises(UnknownPluginError, match="'monodepth2'"):
+        prgbd.make_depth("monodeph2")
+    with pytest.raises(UnknownPluginError, match="orb_gtsam"):
+        prgbd.make_slam("zzz")
+
+
+def test_a_taken_id_is_refused_unless_overridden(registry) -> None:
+    registry.register(spec("net"))
+    with pytest.raises(ConfigError, match="taken"):
+        registry.register(spec("net"))
+    registry.register(spec("net", "tests.core.plugins:NotANumber"), override=True)
+    assert registry.resolve("depth", "net").target.endswith("NotANumber")
+
+
+def test_defaults_are_overridden_by_arguments(registry) -> None:
+    registry.register(spec("net", value=3.0))
+    assert registry.make("depth", "net").value == 3.0
+    assert registry.make("depth", "net", value=4.0).value == 4.0
+
+
+def test_an_unknown_option_answers_with_the_nearest(registry) -> None:
+    registry.register(spec("net"))
+    with pytest.raises(ConfigError, match=r"no option 'valu'; did you mean 'value'"):
+        registry.make("depth", "net", valu=1.0)
+
+
+def test_a_class_of_another_interface_is_refused(registry) -> None:
+    registry.register(spec("net", "collections:OrderedDict"))
+    with pytest.raises(ContractError, match=r"no subclass of prgbd\.DepthEstimator"):
+        registry.make("depth", "net")
+
+
+def test_an_error_in_the_constructor_is_named(registry) -> None:
+    registry.register(spec("net", "tests.core.plugins:FailsToStart"))
+    with pytest.raises(BrokenPluginError, match=r"'net'.*no licence"):
+        registry.make("depth", "net")
+
+
+@pytest.mark.parametrize("name", ["NotANumber", "Zero", "WrongShape", "NotAPrediction"])
+def test_passive_checks_name_the_plugin(registry, name) -> None:
+    import torch
+
+    registry.register(spec("net", f"tests.core.plugins:{name}"))
+    with pytest.raises(ContractError, match="'net'"):
+        registry.make("depth", "net")(torch.rand(1, 3, 32, 64))
+    registry.make("depth", "net", checks=False)(torch.rand(1, 3, 32, 64))
+
+
+def test_every_built_in_imports_and_implements_its_interface() -> None:
+    from prgbd.core.registry import KINDS, REGISTRY
+
+    for kind in KINDS:
+        for found in REGISTRY.specs(kind):
+            if found.origin == "built-in":
+                assert REGISTRY.load(found)
+                assert found.description
