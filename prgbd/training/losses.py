@@ -1,0 +1,177 @@
+"""Dense loss terms: photometric error with automatic masking, and edge-aware smoothness (Monodepth2).
+
+All terms run in float32 even under mixed precision: SSIM's variances are differences of nearly equal numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from prgbd.core.types import DepthPrediction
+from prgbd.training.warping import warp
+
+SSIM_WEIGHT = 0.85
+C1, C2 = 0.01**2, 0.03**2
+TIE_BREAK = 1e-5
+"""Scale of the normal noise on the identity error; decides ties of still images at random (Monodepth2)."""
+
+
+class Moments(NamedTuple):
+    """What SSIM needs to know of one image; computed once for the target and used for every warp.
+
+    Attributes:
+        padded: (B, C, H+2, W+2) image with a reflected border.
+        mean: (B, C, H, W) mean of each 3x3 window.
+        variance: (B, C, H, W) variance of each 3x3 window.
+    """
+
+    padded: Tensor
+    mean: Tensor
+    variance: Tensor
+
+
+def _pool(padded: Tensor) -> Tensor:
+    return F.avg_pool2d(padded, 3, stride=1)
+
+
+def moments(image: Tensor) -> Moments:
+    """Return the window moments of an image (B, C, H, W)."""
+    padded = F.pad(image, (1, 1, 1, 1), mode="reflect")
+    mean = _pool(padded)
+    return Moments(padded, mean, _pool(padded * padded) - mean * mean)
+
+
+def _ssim(a: Moments, b: Moments) -> Tensor:
+    product = a.mean * b.mean
+    covariance = _pool(a.padded * b.padded) - product
+    similarity = (2 * product + C1) * (2 * covariance + C2)
+    scale = (a.mean * a.mean + b.mean * b.mean + C1) * (a.variance + b.variance + C2)
+    return ((1 - similarity / scale) / 2).clamp(0, 1)
+
+
+def ssim(a: Tensor, b: Tensor) -> Tensor:
+    """Structural dissimilarity ``clamp((1 - SSIM) / 2, 0, 1)`` with 3x3 mean windows and reflected borders.
+
+    Args:
+        a: (B, C, H, W) in [0, 1].
+        b: (B, C, H, W) in [0, 1].
+
+    Returns:
+        (B, C, H, W), 0 where the images agree.
+    """
+    return _ssim(moments(a), moments(b))
+
+
+def photometric_error(a: Tensor, b: Tensor, moments_b: Moments | None = None) -> Tensor:
+    """Per-pixel photometric error ``0.85 SSIM + 0.15 L1``, mean over the channels.
+
+    Args:
+        a: (B, C, H, W) in [0, 1].
+        b: (B, C, H, W) in [0, 1].
+        moments_b: ``moments(b)`` where the caller has them already.
+
+    Returns:
+        (B, 1, H, W).
+    """
+    structure = _ssim(moments(a), moments(b) if moments_b is None else moments_b).mean(dim=1, keepdim=True)
+    return SSIM_WEIGHT * structure + (1 - SSIM_WEIGHT) * (a - b).abs().mean(dim=1, keepdim=True)
+
+
+def smoothness(inverse_depth: Tensor, image: Tensor) -> Tensor:
+    """Edge-aware first-order smoothness of the mean-normalised inverse depth (Monodepth2).
+
+    Args:
+        inverse_depth: (B, 1, H, W) disparity or inverse depth; each image is divided by its own mean.
+        image: (B, C, H, W) in [0, 1] of the same size; its edges excuse edges of depth.
+
+    Returns:
+        Scalar.
+    """
+    inverse = inverse_depth / (inverse_depth.mean(dim=(2, 3), keepdim=True) + 1e-7)
+    total = inverse.new_zeros(())
+    for dim in (2, 3):
+        edge = image.diff(dim=dim).abs().mean(dim=1, keepdim=True)
+        total = total + (inverse.diff(dim=dim).abs() * torch.exp(-edge)).mean()
+    return total
+
+
+def smoothness_loss(prediction: DepthPrediction, image: Tensor) -> Tensor:
+    """Smoothness of every scale, weighted by ``1 / 2**scale``, mean over the scales; the caller applies its weight.
+
+    Args:
+        prediction: Depth maps finest first; the term is defined on the network's disparities where it has them.
+        image: (B, 3, H, W) un-augmented target image in [0, 1]; averaged down to each scale.
+
+    Returns:
+        Scalar.
+    """
+    with torch.autocast(image.device.type, enabled=False):
+        inverses = prediction.inverse_depths()
+        total = image.new_zeros(())
+        for scale, inverse in enumerate(inverses):
+            small = (
+                image if inverse.shape[-2:] == image.shape[-2:] else F.adaptive_avg_pool2d(image, inverse.shape[-2:])
+            )
+            total = total + smoothness(inverse.to(image.dtype), small) / 2**scale
+        return total / len(inverses)
+
+
+def upsampled_depth(depth: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resize depth (B, 1, h, w) by its *inverse*, bilinearly.
+
+    Monodepth2 upsamples its disparity, of which the inverse depth is an affine function, so this is the same.
+    """
+    if tuple(depth.shape[-2:]) == size:
+        return depth
+    return 1 / F.interpolate(1 / depth, size, mode="bilinear", align_corners=False)
+
+
+def photometric_loss(
+    prediction: DepthPrediction,
+    target: Tensor,
+    sources: Sequence[Tensor],
+    K: Tensor,
+    sTt: Sequence[Tensor],
+    automask: bool = True,
+    generator: torch.Generator | None = None,
+) -> Tensor:
+    """Multi-scale photometric loss with per-pixel minimum over the sources and automatic masking (Monodepth2).
+
+    Every scale's depth is upsampled to the target's size before warping. With ``automask`` the error of *not* warping
+    joins the minimum, so pixels that look the same without motion (a still camera, an object moving along) train nothing.
+
+    Args:
+        prediction: Depth maps of the target, finest first.
+        target: (B, 3, H, W) un-augmented image in [0, 1].
+        sources: S images (B, 3, H, W), un-augmented.
+        K: (B, 3, 3) intrinsics at the size of the target, pixels.
+        sTt: S transforms (B, 4, 4) from target camera to source camera.
+        automask: Whether the identity error joins the minimum.
+        generator: Random numbers that break ties of the automatic mask; the global ones if None.
+
+    Returns:
+        Scalar, mean over pixels and scales.
+    """
+    with torch.autocast(target.device.type, enabled=False):
+        with torch.no_grad():
+            target_moments = moments(target)
+            # The identity error does not depend on depth: once for all scales, and without gradient.
+            still = torch.cat([photometric_error(s, target, target_moments) for s in sources], 1) if automask else None
+        size = (target.shape[-2], target.shape[-1])
+        total = target.new_zeros(())
+        for depth in prediction.depths:
+            full = upsampled_depth(depth.to(target.dtype), size)
+            errors = [
+                photometric_error(warp(source, full, K, T)[0], target, target_moments)
+                for source, T in zip(sources, sTt, strict=True)
+            ]
+            if still is not None:
+                noise = torch.randn(still.shape, generator=generator, device=still.device, dtype=still.dtype)
+                errors.append(still + TIE_BREAK * noise)
+            total = total + torch.cat(errors, dim=1).amin(dim=1).mean()
+        return total / len(prediction.depths)
