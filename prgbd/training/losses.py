@@ -114,9 +114,8 @@ def smoothness_loss(prediction: DepthPrediction, image: Tensor) -> Tensor:
         inverses = prediction.inverse_depths()
         total = image.new_zeros(())
         for scale, inverse in enumerate(inverses):
-            small = (
-                image if inverse.shape[-2:] == image.shape[-2:] else F.adaptive_avg_pool2d(image, inverse.shape[-2:])
-            )
+            height, width = inverse.shape[-2:]
+            small = F.adaptive_avg_pool2d(image, (height, width))
             total = total + smoothness(inverse.to(image.dtype), small) / 2**scale
         return total / len(inverses)
 
@@ -143,7 +142,8 @@ def photometric_loss(
     """Multi-scale photometric loss with per-pixel minimum over the sources and automatic masking (Monodepth2).
 
     Every scale's depth is upsampled to the target's size before warping. With ``automask`` the error of *not* warping
-    joins the minimum, so pixels that look the same without motion (a still camera, an object moving along) train nothing.
+    joins the minimum, so pixels that look the same without motion (a still camera, an object moving along) train
+    nothing.
 
     Args:
         prediction: Depth maps of the target, finest first.
