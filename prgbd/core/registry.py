@@ -195,7 +195,8 @@ class Registry:
             names = list(sequences)
         if not names:
             raise ConfigError(f"No sequence of '{plugin_id}' was chosen; name at least one in data.sequences.")
-        return [self.make("data", plugin_id, checks=checks, **kwargs, sequence=name) for name in names]
+        chosen = [kwargs if name is None else {**kwargs, "sequence": name} for name in names]
+        return [self.make("data", plugin_id, checks=checks, **options) for options in chosen]
 
 
 REGISTRY = Registry()

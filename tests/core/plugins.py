@@ -62,3 +62,22 @@ class Ramp(Sequence):
             raise IndexError(index)
         image = np.tile(np.arange(16, dtype=np.uint8)[None, :, None] * 10 + index, (8, 1, 3))
         return Frame(index, float(self.timestamps[index]), image)
+
+
+class Clips(Ramp):
+    """A data set of two recordings."""
+
+    def __init__(self, sequence: str | None = None, frames: int = 4) -> None:
+        super().__init__(sequence, frames)
+        self.name = sequence or "a"
+
+    @classmethod
+    def available(cls, frames: int = 4) -> list[str]:
+        return ["a", "b"]
+
+
+class Alone(Ramp):
+    """A recording whose constructor knows no names."""
+
+    def __init__(self) -> None:
+        super().__init__()

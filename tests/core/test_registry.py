@@ -116,3 +116,23 @@ def test_every_built_in_imports_and_implements_its_interface() -> None:
             if found.origin == "built-in":
                 assert REGISTRY.load(found)
                 assert found.description
+
+
+def test_several_recordings_of_one_data_set(registry) -> None:
+    registry.register(spec("clips", "tests.core.plugins:Clips", kind="data", frames=3))
+    registry.register(spec("alone", "tests.core.plugins:Alone", kind="data"))
+    assert [s.name for s in registry.make_sequences("clips")] == ["a", "b"]
+    assert [s.name for s in registry.make_sequences("clips", ["b"], frames=2)] == ["b"]
+    assert len(registry.make_sequences("alone")[0]) == 4
+    with pytest.raises(ConfigError, match="No sequence"):
+        registry.make_sequences("clips", [])
+    with pytest.raises(ConfigError, match="did you mean 'frames'"):
+        registry.make_sequences("clips", frame=2)
+
+
+def test_make_data_makes_one_recording() -> None:
+    prgbd.register_data("test/clips", "tests.core.plugins:Clips", override=True)
+    assert prgbd.make_data("test/clips", sequence="a").name == "a"
+    assert prgbd.make_data("test/clips", sequences=["b"]).name == "b"
+    with pytest.raises(ConfigError, match="make_sequences"):
+        prgbd.make_data("test/clips", sequences=["a", "b"])
