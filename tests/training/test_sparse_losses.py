@@ -1,0 +1,140 @@
+"""The method's sparse terms against hand-computed scenes and finite differences."""
+
+import pytest
+import torch
+
+from prgbd.training.sparse_losses import depth_consistency, depth_transfer, sample_patches, transferred_depth
+from prgbd.training.warping import invert_rigid, transformation_from_parameters
+
+K = torch.tensor([[[20.0, 0, 9.5], [0, 20.0, 7.5], [0, 0, 1]]]).double()
+HEIGHT, WIDTH = 16, 20
+
+
+def translation(x=0.0, y=0.0, z=0.0):
+    T = torch.eye(4, dtype=torch.float64)[None].clone()
+    T[0, :3, 3] = torch.tensor([x, y, z])
+    return T
+
+
+def flat(depth):
+    return torch.full((1, 1, HEIGHT, WIDTH), depth, dtype=torch.float64)
+
+
+def plane(wTc):
+    """Depth map, from camera ``wTc`` (3x4 or 4x4), of the slanted world plane n.X = 4 with n = (0.3, 0.2, 1)."""
+    normal = torch.tensor([0.3, 0.2, 1.0]).double()
+    y, x = torch.meshgrid(torch.arange(HEIGHT).double(), torch.arange(WIDTH).double(), indexing="ij")
+    rays = torch.stack([(x - 9.5) / 20, (y - 7.5) / 20, torch.ones_like(x)], dim=-1)
+    R, t = wTc[0, :3, :3], wTc[0, :3, 3]
+    return ((4 - normal @ t) / (rays @ (R.T @ normal)))[None, None]
+
+
+def patches(depth, uv, patch=5):
+    return sample_patches(depth, torch.tensor(uv).double(), patch)
+
+
+def both_ways(depth_a, depth_b, uv_a, uv_b, bTa, mask=None, **options):
+    a, b = patches(depth_a, uv_a), patches(depth_b, uv_b)
+    mask = torch.ones(a.depth.shape[:2], dtype=torch.bool) if mask is None else mask
+    return depth_transfer(a, b, K, bTa, invert_rigid(bTa), mask, **options)
+
+
+def test_patches_hold_the_neighbourhood_row_by_row():
+    depth = 1 / torch.arange(1, HEIGHT * WIDTH + 1).double().view(1, 1, HEIGHT, WIDTH)
+    found = patches(depth, [[[6.0, 5.0]]], 3)
+    expected = 1 / depth[0, 0, 4:7, 5:8].reshape(-1)
+    assert torch.allclose(1 / found.depth[0, 0], expected)
+    assert found.pixels[0, 0, 0].tolist() == [5.0, 4.0]
+    assert found.pixels[0, 0, 1].tolist() == [6.0, 4.0]
+    assert found.inside.all()
+
+
+def test_interpolation_is_exact_on_a_plane():
+    depth = plane(translation())
+    found = patches(depth, [[[6.3, 5.8]]], 1)
+    ray = torch.tensor([(6.3 - 9.5) / 20, (5.8 - 7.5) / 20, 1.0]).double()
+    assert found.depth.item() == pytest.approx((4 / (ray @ torch.tensor([0.3, 0.2, 1.0]).double())).item(), rel=1e-6)
+
+
+def test_patches_over_the_border_are_marked():
+    found = patches(flat(2.0), [[[0.0, 7.0], [WIDTH - 1.0, HEIGHT - 1.0]]], 3)
+    assert found.inside[0, 0].view(3, 3)[:, 0].sum() == 0
+    assert found.inside[0, 0].view(3, 3)[:, 1:].all()
+    assert found.inside[0, 1].sum() == 4
+    assert torch.isfinite(found.depth).all()
+
+
+def test_transfer_of_a_wall_ahead_by_hand():
+    """Camera b stands 1 m closer to a wall: 5 m in a must be 4 m in b; 4.3 m in b is wrong by 0.3 both ways."""
+    uv = [[[9.5, 7.5], [4.0, 6.0]]]
+    closer = translation(z=-1.0)
+    assert both_ways(flat(5.0), flat(4.0), uv, uv, closer).item() == pytest.approx(0, abs=1e-12)
+    wrong = both_ways(flat(5.0), flat(4.3), uv, uv, closer)
+    assert wrong.item() == pytest.approx(0.6)
+    assert both_ways(flat(5.0), flat(4.3), uv, uv, closer, reduction="sum").item() == pytest.approx(0.6 * 2 * 25)
+
+
+def test_transfer_of_a_turned_camera_by_hand():
+    """A camera turned by 0.1 rad about y sees the point straight ahead of the other at depth 5 cos(0.1)."""
+    bTa = transformation_from_parameters(torch.tensor([[0.0, 0.1, 0.0]]).double(), torch.zeros(1, 3).double())
+    depth = transferred_depth(patches(flat(5.0), [[[9.5, 7.5]]], 1), K, bTa)
+    assert depth.item() == pytest.approx(5 * torch.cos(torch.tensor(0.1)).item(), rel=1e-6)
+
+
+def test_transfer_of_a_slanted_plane_vanishes_at_the_true_depth():
+    """At corresponding keypoints it vanishes; the rest of the patch, seen under another angle, leaves only a little."""
+    wTa, wTb = translation(), translation(x=0.3, y=-0.1)
+    depth_a, depth_b = plane(wTa), plane(wTb)
+    bTa = invert_rigid(wTb) @ wTa
+    uv_a = torch.tensor([[[8.2, 6.9], [11.0, 9.4]]]).double()
+    a = sample_patches(depth_a, uv_a, 1)
+    points = torch.cat([(a.pixels[:, :, 0] - K[:, :2, 2]) / 20 * a.depth, a.depth], dim=-1) + bTa[:, None, :3, 3]
+    uv_b = points[..., :2] / points[..., 2:] * 20 + K[:, :2, 2]
+    mask = torch.ones(1, 2, dtype=torch.bool)
+    keypoints = depth_transfer(a, sample_patches(depth_b, uv_b, 1), K, bTa, invert_rigid(bTa), mask)
+    assert keypoints.item() == pytest.approx(0, abs=1e-12)
+    five = both_ways(depth_a, depth_b, uv_a.tolist(), uv_b.tolist(), bTa)
+    assert 0 < five.item() < 0.02
+    assert both_ways(depth_a * 1.1, depth_b, uv_a.tolist(), uv_b.tolist(), bTa).item() > 0.5
+
+
+def test_padding_and_empty_images_do_not_count():
+    uv = [[[9.5, 7.5], [1e6, 0.0]]]
+    mask = torch.tensor([[True, False]])
+    loss = both_ways(flat(5.0), flat(4.3), uv, uv, translation(z=-1.0), mask)
+    assert loss.item() == pytest.approx(0.6)
+    assert both_ways(flat(5.0), flat(4.3), uv, uv, translation(z=-1.0), ~mask & mask).item() == 0
+    none = torch.zeros(1, 0, dtype=torch.bool)
+    assert depth_consistency(flat(5.0), torch.zeros(1, 0, 2).double(), torch.zeros(1, 0).double(), none).item() == 0
+
+
+def test_consistency_by_hand():
+    """Two points off by 1 and 3 in one image, none in the other: (1 + 3) / 2 averaged over two images."""
+    depth = torch.cat([flat(5.0), flat(9.0)])
+    uv = torch.tensor([[[3.0, 4.0], [10.5, 7.25]], [[0.0, 0.0], [0.0, 0.0]]]).double()
+    slam = torch.tensor([[4.0, 8.0], [0.0, 0.0]]).double()
+    mask = torch.tensor([[True, True], [False, False]])
+    assert depth_consistency(depth, uv, slam, mask).item() == pytest.approx(1.0)
+
+
+def test_gradients_agree_with_finite_differences():
+    torch.manual_seed(0)
+    a = (3 + torch.rand(2, 1, 8, 9, dtype=torch.float64)).requires_grad_()
+    b = (3 + torch.rand(2, 1, 8, 9, dtype=torch.float64)).requires_grad_()
+    uv_a = torch.rand(2, 3, 2, dtype=torch.float64) * 4 + 2
+    uv_b = torch.rand(2, 3, 2, dtype=torch.float64) * 4 + 2
+    mask = torch.tensor([[True, True, False], [True, True, True]])
+    bTa = transformation_from_parameters(
+        torch.tensor([[0.1, -0.2, 0.05], [0.0, 0.1, 0.0]]).double(),
+        torch.tensor([[0.2, -0.1, 0.4], [0.1, 0.0, -0.3]]).double(),
+    )
+    intrinsics = K.expand(2, 3, 3)
+
+    def transfer(a, b, reduction):
+        first, second = sample_patches(a, uv_a, 5), sample_patches(b, uv_b, 5)
+        return depth_transfer(first, second, intrinsics, bTa, invert_rigid(bTa), mask, reduction)
+
+    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, "mean"), (a, b))
+    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, "sum"), (a, b))
+    slam = torch.rand(2, 3, dtype=torch.float64) + 5
+    assert torch.autograd.gradcheck(lambda a: depth_consistency(a, uv_a, slam, mask), a)
