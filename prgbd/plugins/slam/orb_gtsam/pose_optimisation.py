@@ -1,0 +1,257 @@
+"""The pose of one camera from known points: motion-only bundle adjustment with outlier rejection."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.lie import compose_into, exp_se3_into, orthonormalise
+
+FloatArray = NDArray[np.float64]
+
+CHI2_MONO = 5.991
+CHI2_STEREO = 7.815
+
+# Chi-square that a point behind the camera counts for: constant, so steps that push points back there lose.
+BEHIND = 1e4
+_ROUNDS = 4
+_ITERATIONS = 10
+# Relative decrease of the cost at which a round has converged.
+_CONVERGED = 1e-5
+
+
+def optimise_pose(
+    cTw0: FloatArray,
+    xyz: FloatArray,
+    uvr: FloatArray,
+    inv_sigma2: FloatArray,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    bf: float,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Refine a camera pose on observations of known points, as ORB-SLAM2's ``PoseOptimization``.
+
+    Four rounds of at most ten Levenberg-Marquardt iterations; after each, observations are sorted anew into inliers
+    and outliers (chi-square 5.991 monocular, 7.815 stereo, positive depth). The Huber kernel is dropped in the last
+    round. A round starts where the last one ended.
+
+    Args:
+        cTw0: (4, 4) first guess, world to camera.
+        xyz: (N, 3) points in the world.
+        uvr: (N, 3) observed ``(u, v, u_right)`` in pixels; ``u_right < 0`` for monocular observations.
+        inv_sigma2: (N,) inverse variance, 1 / px^2.
+        fx: Focal length in pixels.
+        fy: Focal length in pixels.
+        cx: Principal point in pixels.
+        cy: Principal point in pixels.
+        bf: Baseline times ``fx``; unused where all observations are monocular.
+
+    Returns:
+        The pose (4, 4) and which observations (N,) are inliers. Fewer than three usable observations leave the first
+        guess as it is, without inliers.
+    """
+    cTw = np.array(cTw0, np.float64, order="C")
+    inlier = np.zeros(len(xyz), np.bool_)
+    _optimise(
+        cTw,
+        np.ascontiguousarray(xyz, np.float64),
+        np.ascontiguousarray(uvr, np.float64),
+        np.ascontiguousarray(inv_sigma2, np.float64),
+        np.array([fx, fy, cx, cy, bf], np.float64),
+        inlier,
+    )
+    return cTw, inlier
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _chi2(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, camera: FloatArray) -> float:
+    """Return the chi-square of one observation; infinite behind the camera."""
+    z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
+    if not z > 1e-9:
+        return math.inf
+    iz = 1.0 / z
+    x = pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]
+    y = pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]
+    u = camera[0] * x * iz + camera[2]
+    eu, ev = obs[0] - u, obs[1] - (camera[1] * y * iz + camera[3])
+    square = eu * eu + ev * ev
+    if obs[2] >= 0.0:
+        er = obs[2] - (u - camera[4] * iz)
+        square += er * er
+    return square * weight
+
+
+@numba.njit(cache=True, nogil=True)
+def huber(chi2: float, limit: float) -> float:
+    """Return Huber's rho of a chi-square whose kernel turns linear at ``limit``."""
+    return chi2 if chi2 <= limit else 2.0 * math.sqrt(limit * chi2) - limit
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _cost(
+    pose: FloatArray,
+    xyz: FloatArray,
+    uvr: FloatArray,
+    inv_sigma2: FloatArray,
+    camera: FloatArray,
+    active: NDArray[np.bool_],
+    robust: bool,
+) -> float:
+    total = 0.0
+    for k in range(len(xyz)):
+        if not active[k]:
+            continue
+        chi2 = min(_chi2(pose, xyz[k], uvr[k], inv_sigma2[k], camera), BEHIND)
+        total += huber(chi2, CHI2_STEREO if uvr[k, 2] >= 0.0 else CHI2_MONO) if robust else chi2
+    return total
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _normal_equations(
+    pose: FloatArray,
+    xyz: FloatArray,
+    uvr: FloatArray,
+    inv_sigma2: FloatArray,
+    camera: FloatArray,
+    active: NDArray[np.bool_],
+    robust: bool,
+    H: FloatArray,
+    b: FloatArray,
+) -> None:
+    """Fill ``H`` (lower triangle) and ``b`` of ``H xi = b`` for the left update ``exp(xi) cTw``."""
+    H[:] = 0.0
+    b[:] = 0.0
+    fx, fy, cx, cy, bf = camera[0], camera[1], camera[2], camera[3], camera[4]
+    rows = np.empty((3, 6))
+    error = np.empty(3)
+    for k in range(len(xyz)):
+        if not active[k]:
+            continue
+        p = xyz[k]
+        z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
+        if not z > 1e-9:
+            continue
+        x = pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]
+        y = pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]
+        iz = 1.0 / z
+        a, c = x * iz, y * iz
+        stereo = uvr[k, 2] >= 0.0
+        n = 3 if stereo else 2
+        error[0] = uvr[k, 0] - (fx * a + cx)
+        error[1] = uvr[k, 1] - (fy * c + cy)
+        # Derivatives of (u, v) by the twist: d(x, y, z) = omega x p + v.
+        rows[0, 0], rows[0, 1], rows[0, 2] = -fx * a * c, fx * (1.0 + a * a), -fx * c
+        rows[0, 3], rows[0, 4], rows[0, 5] = fx * iz, 0.0, -fx * a * iz
+        rows[1, 0], rows[1, 1], rows[1, 2] = -fy * (1.0 + c * c), fy * a * c, fy * a
+        rows[1, 3], rows[1, 4], rows[1, 5] = 0.0, fy * iz, -fy * c * iz
+        chi2 = error[0] * error[0] + error[1] * error[1]
+        limit = CHI2_MONO
+        if stereo:
+            # u_right = u - bf / z adds bf / z^2 dz, with dz = omega_x y - omega_y x + v_z.
+            error[2] = uvr[k, 2] - (fx * a + cx - bf * iz)
+            d = bf * iz * iz
+            for i in range(6):
+                rows[2, i] = rows[0, i]
+            rows[2, 0] += d * y
+            rows[2, 1] -= d * x
+            rows[2, 5] += d
+            chi2 += error[2] * error[2]
+            limit = CHI2_STEREO
+        w = inv_sigma2[k]
+        chi2 *= w
+        if robust and chi2 > limit:
+            w *= math.sqrt(limit / chi2)
+        for r in range(n):
+            for i in range(6):
+                s = w * rows[r, i]
+                b[i] += s * error[r]
+                for j in range(i + 1):
+                    H[i, j] += s * rows[r, j]
+
+
+@numba.njit(cache=True, nogil=True)
+def solve_damped(H: FloatArray, b: FloatArray, damping: float, L: FloatArray, x: FloatArray) -> bool:
+    """Solve ``(H + damping diag(H)) x = b`` by Cholesky from H's lower triangle; False if not positive definite."""
+    n = len(b)
+    for i in range(n):
+        for j in range(i + 1):
+            s = H[i, j]
+            if i == j:
+                s += damping * s + 1e-12
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                L[i, i] = math.sqrt(s)
+            else:
+                L[i, j] = s / L[j, j]
+        s = b[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s / L[i, i]
+    for i in range(n - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, n):
+            s -= L[k, i] * x[k]
+        x[i] = s / L[i, i]
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _optimise(
+    pose: FloatArray,
+    xyz: FloatArray,
+    uvr: FloatArray,
+    inv_sigma2: FloatArray,
+    camera: FloatArray,
+    inlier: NDArray[np.bool_],
+) -> None:
+    n = len(xyz)
+    usable = np.empty(n, np.bool_)
+    count = 0
+    for k in range(n):
+        total = inv_sigma2[k]
+        for j in range(3):
+            total += xyz[k, j] + uvr[k, j]
+        usable[k] = math.isfinite(total)
+        inlier[k] = usable[k]
+        count += usable[k]
+    H, L = np.zeros((6, 6)), np.zeros((6, 6))
+    b, xi = np.zeros(6), np.zeros(6)
+    delta, trial = np.zeros((4, 4)), np.zeros((4, 4))
+    for outer in range(_ROUNDS):
+        if count < 3:
+            break
+        robust = outer < _ROUNDS - 1
+        damping = 1e-5
+        cost = _cost(pose, xyz, uvr, inv_sigma2, camera, inlier, robust)
+        for _ in range(_ITERATIONS):
+            _normal_equations(pose, xyz, uvr, inv_sigma2, camera, inlier, robust, H, b)
+            before = cost
+            for _ in range(8):
+                if solve_damped(H, b, damping, L, xi):
+                    exp_se3_into(xi, delta)
+                    compose_into(delta, pose, trial)
+                    lower = _cost(trial, xyz, uvr, inv_sigma2, camera, inlier, robust)
+                    if lower < cost:
+                        cost = lower
+                        pose[:3] = trial[:3]
+                        damping = max(damping * 0.1, 1e-10)
+                        break
+                damping *= 10.0
+            if not before - cost > _CONVERGED * before:
+                break
+        orthonormalise(pose)
+        count = 0
+        for k in range(n):
+            limit = CHI2_STEREO if uvr[k, 2] >= 0.0 else CHI2_MONO
+            inlier[k] = usable[k] and _chi2(pose, xyz[k], uvr[k], inv_sigma2[k], camera) <= limit
+            count += inlier[k]
+    if count < 3:
+        inlier[:] = False
