@@ -1,0 +1,224 @@
+"""From what SLAM found out to training samples: outlier removal and keyframe triplets (paper, section 3.3)."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult
+
+Floats = NDArray[np.float64]
+
+NO_KEYFRAME_BEFORE = "no earlier keyframe in the same map"
+NO_KEYFRAME_AFTER = "no later keyframe in the same map"
+NO_ADJACENT_FRAME = "a temporally adjacent frame is lost, missing or in another map"
+
+
+@dataclass(frozen=True)
+class KeyframeSample:
+    """One current keyframe c with its neighbours and the points that all three keyframes see.
+
+    Attributes:
+        current: Position of c in the sequence.
+        adjacent: (2,) int64 positions of the frames before and after c (narrow baseline).
+        neighbours: (2,) int64 positions of the keyframes k1 before and k2 after c (wide baseline).
+        aTc: (2, 4, 4) float64 transforms from camera c to the adjacent cameras, translation in SLAM's unit.
+        kTc: (2, 4, 4) float64 transforms from camera c to the cameras of k1 and k2.
+        point: (X,) int64 rows of ``SlamResult.points``, the points seen in c, k1 and k2.
+        uv: (3, X, 2) float32 their pixels in c, k1 and k2, in the full-size image.
+        depth: (3, X) float32 their depth in c, k1 and k2 by SLAM's map and poses, SLAM's unit.
+    """
+
+    current: int
+    adjacent: NDArray[np.int64]
+    neighbours: NDArray[np.int64]
+    aTc: Floats
+    kTc: Floats
+    point: NDArray[np.int64]
+    uv: NDArray[np.float32]
+    depth: NDArray[np.float32]
+
+    @property
+    def frames(self) -> NDArray[np.int64]:
+        """The five frames of the sample, (5,): c, the adjacent two, k1 and k2."""
+        return np.concatenate([[self.current], self.adjacent, self.neighbours]).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """All that one SLAM result can teach.
+
+    Attributes:
+        camera: The camera that the samples' pixels belong to.
+        samples: One per usable keyframe, in temporal order.
+        keyframes: Number of keyframes that SLAM kept.
+        skipped: Why the other keyframes gave no sample, reason -> number.
+        observations: Number of observations before outlier removal.
+        kept_observations: Number of observations after it.
+    """
+
+    camera: PinholeCamera
+    samples: list[KeyframeSample]
+    keyframes: int
+    skipped: dict[str, int] = field(default_factory=dict)
+    observations: int = 0
+    kept_observations: int = 0
+
+    @property
+    def points_per_sample(self) -> float:
+        """Mean number of points common to the three keyframes of a sample."""
+        return float(np.mean([len(s.point) for s in self.samples])) if self.samples else 0.0
+
+
+def reprojection_errors(camera: PinholeCamera, keyframes: Keyframes, points: MapPoints, seen: Observations) -> Floats:
+    """Return the distance of every observation to its projected point, (M,) pixels; infinite behind the camera."""
+    rays = points_in_camera(keyframes.wTc[seen.keyframe], points.xyz[seen.point])
+    z = rays[:, 2]
+    ahead = z > 1e-9
+    errors = np.full(len(seen), np.inf)
+    errors[ahead] = np.linalg.norm(camera.project(rays[ahead]) - seen.uv[ahead], axis=1)
+    return errors
+
+
+def points_in_camera(wTc: Floats, xyz: Floats) -> Floats:
+    """Move world points (M, 3) into cameras ``wTc``, one pose (4, 4) for all or one per point (M, 4, 4)."""
+    offset = xyz - wTc[..., :3, 3]
+    return np.einsum("...ji,...j->...i", wTc[..., :3, :3], offset)
+
+
+def clean_observations(result: SlamResult, min_keyframes: int = 3, max_reprojection_error: float = 3.0) -> Observations:
+    """Remove outliers as the paper does before each depth refinement.
+
+    A point goes, with all of its keypoints, when fewer than ``min_keyframes`` keyframes observe it. An observation goes
+    when its reprojection error in its own keyframe exceeds ``max_reprojection_error``. Both rules look at the map as
+    SLAM left it: the observations that the second rule removes still count for the first.
+
+    Args:
+        result: SLAM's output.
+        min_keyframes: Fewest keyframes that must observe a point.
+        max_reprojection_error: Pixels of the full-size image.
+
+    Returns:
+        The observations that are left, in the same order.
+    """
+    seen = result.observations
+    pairs = np.unique(np.stack([seen.point, seen.keyframe], axis=1), axis=0)
+    observers = np.bincount(pairs[:, 0], minlength=len(result.points))
+    keep = observers[seen.point] >= min_keyframes
+    keep &= reprojection_errors(result.camera, result.keyframes, result.points, seen) <= max_reprojection_error
+    return Observations(seen.keyframe[keep], seen.point[keep], seen.uv[keep], seen.depth[keep])
+
+
+def keyframe_samples(
+    result: SlamResult,
+    *,
+    min_keyframes: int = 3,
+    max_reprojection_error: float = 3.0,
+    keyframe_gap: int = 1,
+    frame_gap: int = 1,
+    min_common_points: int = 20,
+) -> Supervision:
+    """Make one training sample of every keyframe that has neighbours on both sides.
+
+    Args:
+        result: SLAM's output.
+        min_keyframes: See ``clean_observations``.
+        max_reprojection_error: See ``clean_observations``.
+        keyframe_gap: How many keyframes away k1 and k2 are; 1 for the nearest. Further ones give a wider baseline and
+            fewer common points.
+        frame_gap: How many frames away the temporally adjacent frames are.
+        min_common_points: k1 is the nearest keyframe at ``keyframe_gap`` or beyond that shares this many points with c,
+            among the next five; if none does, the one at the gap. Likewise k2. A sample without common points still
+            trains by its photometric term.
+
+    Returns:
+        The samples and why other keyframes gave none.
+    """
+    cleaned = clean_observations(result, min_keyframes, max_reprojection_error)
+    views = _Views(result, cleaned)
+    samples: list[KeyframeSample] = []
+    skipped: Counter[str] = Counter()
+    for row in range(len(result.keyframes)):
+        k1 = views.neighbour(row, -1, keyframe_gap, min_common_points)
+        k2 = views.neighbour(row, +1, keyframe_gap, min_common_points)
+        adjacent = views.adjacent(row, frame_gap)
+        if k1 is None:
+            skipped[NO_KEYFRAME_BEFORE] += 1
+        elif k2 is None:
+            skipped[NO_KEYFRAME_AFTER] += 1
+        elif adjacent is None:
+            skipped[NO_ADJACENT_FRAME] += 1
+        else:
+            samples.append(views.sample(row, k1, k2, adjacent))
+    return Supervision(
+        camera=result.camera,
+        samples=samples,
+        keyframes=len(result.keyframes),
+        skipped=dict(skipped),
+        observations=len(result.observations),
+        kept_observations=len(cleaned),
+    )
+
+
+class _Views:
+    """The cleaned observations by keyframe, and the poses by frame."""
+
+    def __init__(self, result: SlamResult, observations: Observations) -> None:
+        self.result = result
+        order = np.lexsort((observations.point, observations.keyframe))
+        bounds = np.searchsorted(observations.keyframe[order], np.arange(len(result.keyframes) + 1))
+        self._point = observations.point[order]
+        self._uv = observations.uv[order]
+        self._slices = [slice(a, b) for a, b in itertools.pairwise(bounds)]
+
+    def points(self, row: int) -> NDArray[np.int64]:
+        """Points that keyframe ``row`` observes, ascending."""
+        return self._point[self._slices[row]]
+
+    def neighbour(self, row: int, direction: int, gap: int, min_common: int) -> int | None:
+        """The row of the keyframe before (-1) or after (+1) that serves as k1 or k2, or None at the end of the map."""
+        map_id = self.result.keyframes.map_id
+        same = np.flatnonzero(map_id == map_id[row])
+        place = int(np.searchsorted(same, row)) + direction * gap
+        candidates = [int(same[p]) for p in range(place, place + 5 * direction, direction) if 0 <= p < len(same)]
+        for candidate in candidates:
+            if len(np.intersect1d(self.points(row), self.points(candidate))) >= min_common:
+                return candidate
+        return candidates[0] if candidates else None
+
+    def adjacent(self, row: int, gap: int) -> NDArray[np.int64] | None:
+        """Trajectory rows of the frames ``gap`` before and after the keyframe, or None if either cannot be used."""
+        keyframes, trajectory = self.result.keyframes, self.result.trajectory
+        wanted = keyframes.frame_index[row] + np.array([-gap, gap])
+        at = np.searchsorted(trajectory.frame_index, wanted)
+        if np.any(at >= len(trajectory)) or np.any(trajectory.frame_index[at] != wanted):
+            return None
+        # A frame belongs to the map of the latest keyframe before it: every map begins with a keyframe.
+        owner = np.searchsorted(keyframes.frame_index, wanted, side="right") - 1
+        if np.any(owner < 0) or np.any(keyframes.map_id[owner] != keyframes.map_id[row]):
+            return None
+        return at.astype(np.int64)
+
+    def sample(self, row: int, k1: int, k2: int, adjacent: NDArray[np.int64]) -> KeyframeSample:
+        """Put a sample together."""
+        keyframes, trajectory = self.result.keyframes, self.result.trajectory
+        rows = (row, k1, k2)
+        common = np.intersect1d(np.intersect1d(self.points(row), self.points(k1)), self.points(k2))
+        xyz = self.result.points.xyz[common]
+        depth = np.stack([points_in_camera(keyframes.wTc[r], xyz)[:, 2] for r in rows])
+        uv = np.stack([self._uv[self._slices[r]][np.searchsorted(self.points(r), common)] for r in rows])
+        wTc = keyframes.wTc[row]
+        return KeyframeSample(
+            current=int(keyframes.frame_index[row]),
+            adjacent=trajectory.frame_index[adjacent],
+            neighbours=keyframes.frame_index[[k1, k2]],
+            aTc=np.linalg.inv(trajectory.wTc[adjacent]) @ wTc,
+            kTc=np.linalg.inv(keyframes.wTc[[k1, k2]]) @ wTc,
+            point=common.astype(np.int64),
+            uv=uv.astype(np.float32),
+            depth=depth.astype(np.float32),
+        )
