@@ -132,21 +132,21 @@ def read_tum(
     """Read a TUM trajectory file.
 
     Args:
-        path: The file; lines that start with ``#`` are skipped.
+        path: The file; lines that start with ``#`` are skipped, the first of several poses of one time is kept, and
+            poses are sorted by time.
         timestamps: (F,) seconds of the frames that the poses belong to, ascending. Each frame then takes the nearest
             pose in time, and ``frame_index`` and ``timestamp`` are the frame's. Without it poses are numbered in order.
         max_difference: Largest difference in seconds for which a pose belongs to a frame.
 
     Raises:
-        DataError: If the file is missing, malformed, or its time stamps do not ascend.
+        DataError: If the file is missing or malformed.
     """
     from scipy.spatial.transform import Rotation
 
     rows = _read_numbers(Path(path), 8)
     if len(rows) == 0:
         return Trajectory.empty()
-    if np.any(np.diff(rows[:, 0]) <= 0):
-        raise DataError(f"{path} has time stamps that do not ascend; sort its lines by the first column.")
+    rows = rows[np.unique(rows[:, 0], return_index=True)[1]]  # motion-capture files repeat some time stamps
     if np.any(np.linalg.norm(rows[:, 4:], axis=1) < 1e-6):
         raise DataError(f"{path} has a quaternion of length zero; columns 5-8 must be qx qy qz qw.")
     wTc = np.tile(np.eye(4), (len(rows), 1, 1))
