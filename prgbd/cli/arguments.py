@@ -1,0 +1,99 @@
+"""What the user typed, before Hydra sees it."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+
+from prgbd.core.errors import ConfigError
+from prgbd.core.registry import KINDS
+
+GROUPS = ("slam", "depth", "data", "task", "loss", "trainer", "executor", "logger", "experiment")
+FLAGS_WITH_VALUE = ("--cfg", "-c", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn", "--info", "-i")
+FLAGS = (
+    *FLAGS_WITH_VALUE,
+    "--help",
+    "-h",
+    "--hydra-help",
+    "--version",
+    "--resolve",
+    "--run",
+    "-r",
+    "--multirun",
+    "-m",
+    "--shell-completion",
+    "-sc",
+)
+_OVERRIDE = re.compile(r"^(?P<prefix>\+\+|\+|~)?(?P<key>[A-Za-z_][\w./@:-]*)(?:=(?P<value>.*))?$", re.DOTALL)
+_PLUGIN_OPTION = re.compile(rf"^(?:{'|'.join(KINDS)})\.\w")
+
+
+def normalise(argv: Sequence[str]) -> list[str]:
+    """Bring the arguments into the one form that Hydra takes.
+
+    Groups are accepted with and without a plus (``+slam=orb_gtsam`` is ``slam=orb_gtsam``). Options of plug-ins are
+    always accepted here, because only the plug-in knows which it has; it is asked when it is made.
+
+    Args:
+        argv: Arguments without the program's name.
+
+    Returns:
+        Arguments for Hydra.
+
+    Raises:
+        ConfigError: If an argument is neither a flag nor ``option=value``.
+    """
+    arguments = []
+    flag_takes_next = False
+    for argument in argv:
+        if flag_takes_next or argument.startswith("-"):
+            if not flag_takes_next:
+                _check_flag(argument)
+            flag_takes_next = not flag_takes_next and argument in FLAGS_WITH_VALUE
+            arguments.append(argument)
+            continue
+        found = _OVERRIDE.match(argument)
+        if found is None or (found["value"] is None and found["prefix"] != "~"):
+            raise ConfigError(f"'{argument}' is not understood; write option=value, or see --help.")
+        arguments.append(_without_plus(argument, found))
+    return arguments
+
+
+def _without_plus(argument: str, found: re.Match[str]) -> str:
+    key, prefix, value = found["key"], found["prefix"], found["value"]
+    if prefix == "~":
+        return argument
+    if key in GROUPS:
+        return f"{key}={value}"
+    if _PLUGIN_OPTION.match(key):
+        return f"++{key}={value}"
+    return argument
+
+
+def _check_flag(argument: str) -> None:
+    name = argument.split("=", 1)[0]
+    if name not in FLAGS:
+        near = difflib.get_close_matches(name, FLAGS, n=1)
+        hint = f"did you mean {near[0]}?" if near else "options are written option=value, see --help."
+        raise ConfigError(f"There is no flag {name}; {hint}")
+
+
+def is_multirun(argv: Sequence[str]) -> bool:
+    """Say whether the arguments ask for a multirun."""
+    return any(a in ("-m", "--multirun") for a in argv)
+
+
+def value_of(argv: Sequence[str], key: str) -> str | None:
+    """Return the last value that is given to ``key`` on the command line, or None."""
+    value = None
+    for argument in argv:
+        found = _OVERRIDE.match(argument)
+        if found is not None and found["key"] == key and found["prefix"] != "~":
+            value = found["value"]
+    return value
+
+
+def is_true(value: str | None) -> bool:
+    """Say whether a value from the command line means yes."""
+    return value is not None and value.lower() in ("true", "yes", "on", "1")

@@ -1,0 +1,159 @@
+"""What people see while prgbd runs: a header, progress with rate and time left, and lines; also in ``run.log``."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+log = logging.getLogger("prgbd")
+_PLAIN_INTERVAL = 30.0  # seconds between progress lines where there is no terminal
+_CHATTERERS = ("lightning", "lightning.pytorch", "lightning.fabric", "pytorch_lightning", "numba", "matplotlib", "PIL")
+
+
+class _Rate(ProgressColumn):
+    """Units per second."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text(f"{speed:5.1f}/s" if speed else "   -/s", style="dim")
+
+
+class _Bar:
+    """A stage on a terminal."""
+
+    def __init__(self, progress: Progress, task: Any) -> None:
+        self._progress, self._task = progress, task
+
+    def advance(self, units: int = 1, **fields: Any) -> None:
+        self._progress.update(self._task, advance=units, note=_noted(fields))
+
+
+class _Lines:
+    """A stage where there is no terminal: a line now and then."""
+
+    def __init__(self, display: Display, title: str, total: int) -> None:
+        self._display, self._title, self._total = display, title, total
+        self._done = 0
+        self._begin = self._last = time.monotonic()
+
+    def advance(self, units: int = 1, **fields: Any) -> None:
+        self._done += units
+        now = time.monotonic()
+        if now - self._last > _PLAIN_INTERVAL and self._done < self._total:
+            self._last = now
+            rate = self._done / (now - self._begin)
+            left = (self._total - self._done) / rate
+            self._display.say(
+                f"{self._title}: {self._done}/{self._total}, {rate:.1f}/s, {left:.0f} s left {_noted(fields)}".rstrip()
+            )
+
+
+class Display:
+    """The terminal and the log of one run; a ``Monitor`` of the loop.
+
+    Args:
+        bars: Whether to draw progress bars; None draws them on a terminal.
+    """
+
+    def __init__(self, bars: bool | None = None) -> None:
+        self.console = make_console()
+        self.bars = self.console.is_terminal if bars is None else bars
+
+    def say(self, text: str) -> None:
+        """Print and log one line."""
+        self.console.print(escape(text), highlight=False)
+        log.info(text)
+
+    def header(self, title: str, facts: Mapping[str, Any]) -> None:
+        """Print and log what runs, where, and with which seed."""
+        self.console.print(f"[bold]{escape(title)}[/bold]")
+        width = max((len(key) for key in facts), default=0)
+        for key, value in facts.items():
+            self.console.print(f"  [dim]{key:<{width}}[/dim]  {escape(str(value))}", highlight=False)
+        log.info("%s: %s", title, ", ".join(f"{k} {v}" for k, v in facts.items()))
+
+    @contextlib.contextmanager
+    def stage(self, title: str, total: int) -> Iterator[_Bar | _Lines]:
+        """Show the progress of a stage of ``total`` units; see ``Monitor.stage``."""
+        begin = time.monotonic()
+        if self.bars:
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(bar_width=24),
+                MofNCompleteColumn(),
+                _Rate(),
+                TimeRemainingColumn(compact=True),
+                TextColumn("{task.fields[note]}", style="dim"),
+            )
+            with Progress(*columns, console=self.console, transient=True) as progress:
+                yield _Bar(progress, progress.add_task(escape(title), total=total, note=""))
+        else:
+            yield _Lines(self, title, total)
+        seconds = time.monotonic() - begin
+        self.say(f"{title}: {total} in {seconds:.1f} s, {total / max(seconds, 1e-6):.1f}/s")
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """Return a console that does not break lines where the output is a file or a pipe."""
+    console = Console(stderr=stderr)
+    return console if console.is_terminal else Console(stderr=stderr, width=200, color_system=None)
+
+
+def complain(message: str) -> None:
+    """Print one sentence on the error stream."""
+    print(f"prgbd: {message}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def log_file(path: Path) -> Iterator[None]:
+    """Send the log and all warnings to ``path`` for a while, and keep the libraries' chatter off the terminal."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    root = logging.getLogger()
+    level = root.level
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    quiet()
+    logging.captureWarnings(True)
+    warned = logging.getLogger("py.warnings")
+    propagated = warned.propagate
+    try:
+        yield
+    finally:
+        logging.captureWarnings(False)
+        warned.propagate = propagated
+        root.setLevel(level)
+        root.removeHandler(handler)
+        handler.close()
+
+
+def quiet() -> None:
+    """Keep libraries from talking about themselves."""
+    for name in _CHATTERERS:
+        logging.getLogger(name).setLevel(logging.ERROR)
+    for message in (".*does not have many workers.*", ".*srun.*", ".*GPU available but not used.*", ".*litlogger.*"):
+        warnings.filterwarnings("ignore", message=message)
+
+
+def _noted(fields: Mapping[str, Any]) -> str:
+    return "  ".join(f"{key} {value}" for key, value in fields.items())

@@ -1,0 +1,141 @@
+"""What prgbd adds to Hydra: plug-ins without YAML, YAML of other packages, and errors in one sentence."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import re
+from importlib import metadata, resources
+from pathlib import Path
+
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.core.registry import KINDS, REGISTRY, parse_id
+
+log = logging.getLogger(__name__)
+CONF_GROUP = "prgbd.conf"
+
+
+class PluginPackagesSearchPath(SearchPathPlugin):
+    """Adds the YAML folders that installed packages announce by the entry point group ``prgbd.conf``."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """See Hydra's ``SearchPathPlugin``."""
+        for provider, folder in conf_folders():
+            search_path.append(provider=provider, path=f"file://{folder}")
+
+
+def conf_folders() -> list[tuple[str, Path]]:
+    """Return (package, folder) of every installed package that brings YAML; a broken package is left out."""
+    found = []
+    for entry in metadata.entry_points(group=CONF_GROUP):
+        try:
+            folder = Path(str(resources.files(entry.value)))
+        except Exception as error:  # a broken package may raise anything, and must not hurt the others
+            log.warning("The YAML of %s (%s) could not be found: %s", entry.name, entry.value, error)
+            continue
+        if folder.is_dir():
+            found.append((entry.name, folder))
+    return found
+
+
+def register_plugins() -> None:
+    """Make every registered plug-in a choice of its Hydra group; one with YAML keeps its YAML."""
+    Plugins.instance().register(PluginPackagesSearchPath)
+    folders = [Path(str(resources.files("prgbd.conf"))), *(folder for _, folder in conf_folders())]
+    store = ConfigStore.instance()
+    for kind in KINDS:
+        ids = {name for spec in REGISTRY.specs(kind) for name in (spec.id, spec.versionless)}
+        for plugin_id in sorted(ids):
+            if any((folder / kind / f"{plugin_id}.yaml").is_file() for folder in folders):
+                continue
+            namespace, _, name = plugin_id.rpartition("/")
+            group = f"{kind}/{namespace}" if namespace else kind
+            store.store(name=name, node={"id": plugin_id}, group=group, package=kind)
+
+
+def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdError:
+    """Turn an error of Hydra or OmegaConf into one sentence.
+
+    Args:
+        error: What Hydra raised while it put the configuration together.
+
+    Returns:
+        The error to raise in its place.
+    """
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        return _unknown_choice(str(error.missing_cfg_file), list(error.options or ()))
+    if isinstance(error, OverrideParseException):
+        return ConfigError(
+            f"'{error.override.lstrip('+')}' is not understood; write option=value, and put values with special "
+            "characters in quotes: \"option='value'\"."
+        )
+    text = str(error)
+    missing_key = re.search(r"Could not override '([^']+)'", text)
+    if missing_key:
+        return _unknown_option(missing_key[1])
+    return ConfigError(f"The configuration does not hold together: {' '.join(text.split())}; see --help.")
+
+
+def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
+    group, _, name = path.removesuffix(".yaml").partition("/")
+    if group == "hydra":
+        package = {"joblib": "'prgbd[joblib]'", "submitit_slurm": "hydra-submitit-launcher"}.get(name.split("/")[-1])
+        mend = f"pip install {package}" if package else "see --hydra-help"
+        return ConfigError(f"Hydra's {path} is not installed; {mend}.")
+    if group in KINDS:
+        try:
+            parse_id(name)
+            REGISTRY.resolve(group, name)
+        except PrgbdError as error:
+            return error
+    near = difflib.get_close_matches(name, options, n=3, cutoff=0.5)
+    hint = f"did you mean {_listed(near)}?" if near else f"there are {_listed(sorted(options))}."
+    return ConfigError(f"There is no {group} '{name}'; {hint}")
+
+
+def _unknown_option(key: str) -> ConfigError:
+    names = known_options()
+    near = difflib.get_close_matches(key, names, n=3, cutoff=0.6)
+    parent = key.rpartition(".")[0]
+    siblings = [n for n in names if parent and n.rpartition(".")[0] == parent]
+    hint = "see --help."
+    if near:
+        hint = f"did you mean {_listed(near)}?"
+    elif siblings:
+        hint = f"there are {_listed(siblings)}."
+    return ConfigError(f"There is no option '{key}'; {hint}")
+
+
+def known_options() -> list[str]:
+    """Return the dotted names of all options of the built-in configuration, and the names of the groups."""
+    folder = Path(str(resources.files("prgbd.conf")))
+    names: set[str] = set()
+    for path in folder.rglob("*.yaml"):
+        if path.parent.name in ("experiment", "executor", "hydra"):
+            continue
+        node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+        prefix = "" if path.parent == folder else path.parent.name
+        if isinstance(node, dict):
+            names.update(_dotted(node, prefix))
+    names.update(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith("_"))
+    return sorted(n for n in names if not n.startswith(("hydra", "defaults")))
+
+
+def _dotted(node: dict, prefix: str) -> list[str]:  # type: ignore[type-arg]
+    names = []
+    for key, value in node.items():
+        name = f"{prefix}.{key}" if prefix else str(key)
+        names.extend(_dotted(value, name) if isinstance(value, dict) else [name])
+    return names
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"'{n}'" for n in names) or "none"

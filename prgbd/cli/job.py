@@ -1,0 +1,164 @@
+"""One run: from its configuration to its report."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from prgbd.cli.display import Display, complain, log_file, quiet
+from prgbd.cli.parts import Parts, make_parts
+from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.loop.store import CONFIG, DONE, RunStore
+
+log = logging.getLogger("prgbd")
+TASKS = ("self_improve", "slam", "depth", "evaluate", "pretrain")
+META = "run"  # the key of config.yaml under which prgbd keeps its own notes
+
+
+@dataclass
+class Job:
+    """What a task works with."""
+
+    config: Mapping[str, Any]
+    parts: Parts
+    store: RunStore
+    display: Display
+
+
+def start(config: dict[str, Any], folder: Path, overrides: list[str]) -> None:
+    """Start a run in ``folder``.
+
+    Args:
+        config: The whole configuration, plain data.
+        folder: The run's folder.
+        overrides: What the user typed, kept for the report and for ``resume``.
+
+    Raises:
+        PrgbdError: If something the user can mend is wrong.
+    """
+    import prgbd
+
+    quiet()
+    noted = {**config, META: {"version": prgbd.__version__, "started_in": os.getcwd(), "overrides": overrides}}
+    try:
+        parts = make_parts(config)
+        store = RunStore.create(folder, noted)
+    except BaseException:
+        _remove_empty(folder)
+        raise
+    _run(Job(config, parts, store, make_display(config)))
+
+
+def resume(folder: Path, changes: Mapping[str, Any]) -> None:
+    """Go on with the run in ``folder``.
+
+    Args:
+        folder: The run's folder.
+        changes: Harmless options that the user wants to be different this time.
+
+    Raises:
+        PrgbdError: If there is no run to go on with, or something the user can mend is wrong.
+    """
+    quiet()
+    folder = folder.resolve()
+    store = RunStore.open(folder)
+    try:
+        config = {key: value for key, value in store.config.items() if key != META} | dict(changes)
+        display = make_display(config)
+        if store.is_finished:
+            display.say(f"The run in {folder} is finished; there is nothing left to do.")
+            return
+        with _working_folder(store.config.get(META, {}).get("started_in")):
+            parts = make_parts(config)
+            display.say(f"Going on with {folder}")
+            _run(Job(config, parts, store, display))
+    finally:
+        store.close()
+
+
+def make_display(config: Mapping[str, Any]) -> Display:
+    """Make the display that the option ``progress`` asks for."""
+    bars = config.get("progress", "auto")
+    return Display(bars if isinstance(bars, bool) else None)
+
+
+def _run(job: Job) -> None:
+    task = str(job.config["task"]["name"])
+    if task not in TASKS:
+        raise ConfigError(f"There is no task '{task}'; choose {', '.join(TASKS)}.")
+    folder = job.store.folder
+    work: Callable[[Job], None] = import_module(f"prgbd.cli.tasks.{task}").run
+    begin = time.monotonic()
+    with log_file(folder / "run.log"):
+        job.display.header(f"prgbd {task}", _facts(job))
+        try:
+            work(job)
+        except KeyboardInterrupt:
+            log.info("Stopped by the user.")
+            complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={_shown(folder)}")
+            raise SystemExit(130) from None
+        except PrgbdError as error:
+            log.error("%s\n%s", error, traceback.format_exc())
+            error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={_shown(folder)}")
+            raise
+        except Exception:
+            log.error("prgbd failed\n%s", traceback.format_exc())
+            raise
+        job.store.finish(DONE)
+        job.store.close()
+        job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {_shown(folder)}")
+
+
+def _facts(job: Job) -> dict[str, Any]:
+    parts, config = job.parts, job.config
+    source = {"mono": "none (monocular)", "rgbd": "the recording's own sensor", "pseudo_rgbd": "the network"}
+    names = ", ".join(f"{s.name} ({len(s)} frames)" for s in parts.sequences[:6])
+    more = len(parts.sequences) - 6
+    facts = {
+        "slam": f"{parts.ids['slam']}, depth from {source[parts.mode]}" if parts.ids["slam"] else "",
+        "depth": parts.ids["depth"],
+        "data": f"{parts.ids['data']}: {names}{f' and {more} more' if more > 0 else ''}",
+        "test": ", ".join(s.name for s in parts.test_sequences),
+        "seed": config["seed"],
+        "folder": _shown(job.store.folder),
+    }
+    return {key: value for key, value in facts.items() if value != ""}
+
+
+def _shown(folder: Path) -> str:
+    """The folder as the user would type it here."""
+    with contextlib.suppress(ValueError):
+        return str(folder.resolve().relative_to(Path.cwd()))
+    return str(folder)
+
+
+@contextlib.contextmanager
+def _working_folder(folder: str | None) -> Iterator[None]:
+    """Work where the run was started, so that its relative paths mean the same."""
+    here = Path.cwd()
+    if folder is None or not Path(folder).is_dir():
+        yield
+        return
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(here)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Take back the folders that were made for a run that did not start."""
+    if (folder / CONFIG).exists():
+        return
+    with contextlib.suppress(OSError):
+        while folder.is_dir() and folder.resolve() != Path.cwd():
+            folder.rmdir()  # fails, and so ends here, as soon as something lies in it
+            folder = folder.parent

@@ -1,0 +1,196 @@
+"""The plug-ins that a configuration asks for."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from prgbd.cli.help import choices
+from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.registry import REGISTRY
+
+if TYPE_CHECKING:
+    from prgbd.core.data import Sequence
+    from prgbd.core.depth import DepthEstimator
+    from prgbd.core.slam import GeometricSLAM
+
+# What the loop, and not the plug-in, reads from a plug-in's node.
+LOOP_KEYS = {"slam": ("mode", "baseline"), "depth": (), "data": ("sequences", "test_sequences")}
+MODES = ("auto", "mono", "rgbd", "pseudo_rgbd")
+
+
+@dataclass
+class Parts:
+    """The plug-ins of a run, made and checked.
+
+    Attributes:
+        ids: Ids of the plug-ins by kind; "" where none is used.
+        sequences: Recordings to run on (and train on).
+        test_sequences: Recordings that are evaluated but not trained on.
+        estimator: The depth network, where the task uses one.
+        make_slam: Makes a SLAM system, where the task uses one.
+        mode: ``mono``, ``rgbd`` (the sensor's depth) or ``pseudo_rgbd`` (the network's depth).
+        baseline: The baseline that the user fixed, metres, or None.
+    """
+
+    ids: dict[str, str]
+    sequences: list[Sequence]
+    test_sequences: list[Sequence] = field(default_factory=list)
+    estimator: DepthEstimator | None = None
+    make_slam: Callable[[], GeometricSLAM] | None = None
+    mode: str = ""
+    baseline: float | None = None
+
+
+def make_parts(config: Mapping[str, Any]) -> Parts:
+    """Make the plug-ins that the task of a configuration uses.
+
+    Raises:
+        ConfigError: If the task needs a plug-in that is not chosen, or an option has a value that cannot work.
+        PrgbdError: Whatever the plug-ins complain about: missing data, wrong weights, unknown options.
+    """
+    task = config["task"]["name"]
+    ids = {kind: _id_of(config, kind) for kind in ("slam", "depth", "data")}
+    mode = _mode(config, task, ids)
+    use_slam = task in ("self_improve", "slam")
+    use_depth = task in ("self_improve", "depth", "pretrain") or mode == "pseudo_rgbd"
+    use_depth = (
+        use_depth
+        or (task == "evaluate" and not config["task"].get("trajectory"))
+        or (task == "evaluate" and bool(ids["depth"]))
+    )
+    _require_chosen(task, ids, use_slam, use_depth)
+    seed_everything(int(config["seed"]))
+    sequences, test_sequences = _make_sequences(config, ids["data"])
+    parts = Parts(ids, sequences, test_sequences, mode=mode)
+    if use_slam:
+        parts.baseline = _baseline(config)
+        parts.make_slam = _slam_factory(config, ids["slam"])
+        parts.make_slam().close()  # options and imports are checked now, not after the depth of a whole video
+        parts.mode = parts.mode or _mode_of_sequences(sequences)
+    if use_depth:
+        seed_everything(int(config["seed"]))
+        parts.estimator = REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth"))
+    parts.ids = {
+        "slam": ids["slam"] if use_slam else "",
+        "depth": ids["depth"] if use_depth else "",
+        "data": ids["data"],
+    }
+    return parts
+
+
+def plugin_options(config: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """Return the keyword arguments of a plug-in: its node without the id and the keys that the loop reads.
+
+    Raises:
+        ConfigError: If an option that has no default is not given.
+    """
+    options = {}
+    for key, value in config[kind].items():
+        if key == "id" or key in LOOP_KEYS[kind]:
+            continue
+        if value == "???":
+            raise ConfigError(f"{kind}={config[kind]['id']} needs the option {kind}.{key}; add {kind}.{key}=...")
+        options[str(key)] = value
+    return options
+
+
+def seed_everything(seed: int) -> None:
+    """Seed Python, numpy and torch."""
+    import torch
+
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002 - for plug-ins and libraries that draw from the global generator
+    torch.manual_seed(seed)
+
+
+def _id_of(config: Mapping[str, Any], kind: str) -> str:
+    node = config.get(kind) or {}
+    plugin_id = node.get("id", "")
+    if node and not plugin_id:
+        option = next(iter(node))
+        raise ConfigError(f"{kind}.{option} is given but no {kind} is chosen; add {kind}=ID: {_listed(choices(kind))}.")
+    return str(plugin_id)
+
+
+def _require_chosen(task: str, ids: Mapping[str, str], use_slam: bool, use_depth: bool) -> None:
+    missing = [kind for kind, used in (("slam", use_slam), ("depth", use_depth)) if used and not ids[kind]]
+    if not missing:
+        return
+    wanted = " and ".join(f"{kind}=ID ({', '.join(choices(kind))})" for kind in missing)
+    raise ConfigError(f"task={task} needs {wanted}; choose, or see --help.")
+
+
+def _mode(config: Mapping[str, Any], task: str, ids: Mapping[str, str]) -> str:
+    """The mode of SLAM as far as the configuration fixes it; "" leaves it to the recordings."""
+    mode = str((config.get("slam") or {}).get("mode", "auto"))
+    if mode not in MODES:
+        raise ConfigError(f"slam.mode={mode} is unknown; choose {', '.join(MODES)}.")
+    if task == "self_improve":
+        if mode not in ("auto", "pseudo_rgbd"):
+            raise ConfigError(
+                f"The self-improving loop runs SLAM on the network's depth, so slam.mode={mode} cannot be used; "
+                "drop it, or add task=slam for one SLAM run."
+            )
+        return "pseudo_rgbd"
+    if task != "slam":
+        return ""
+    if mode == "auto":
+        return "pseudo_rgbd" if ids["depth"] else ""
+    return mode
+
+
+def _mode_of_sequences(sequences: list[Sequence]) -> str:
+    return "rgbd" if all(sequence.frame(0).depth is not None for sequence in sequences) else "mono"
+
+
+def _baseline(config: Mapping[str, Any]) -> float | None:
+    value = config["slam"].get("baseline", "auto")
+    if value in (None, "auto", "adaptive"):
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+        raise ConfigError(f"slam.baseline={value} cannot be used; give a positive number of metres, or auto.")
+    return float(value)
+
+
+def _slam_factory(config: Mapping[str, Any], plugin_id: str) -> Callable[[], GeometricSLAM]:
+    options = plugin_options(config, "slam")
+
+    def make() -> GeometricSLAM:
+        system: GeometricSLAM = REGISTRY.make("slam", plugin_id, **options)
+        return system
+
+    return make
+
+
+def _make_sequences(config: Mapping[str, Any], plugin_id: str) -> tuple[list[Sequence], list[Sequence]]:
+    if not plugin_id:
+        raise ConfigError(f"No data is chosen; add data=ID: {_listed(choices('data'))}.")
+    options = plugin_options(config, "data")
+    sequences = REGISTRY.make_sequences(plugin_id, _names(config, "sequences"), **options)
+    test_names = _names(config, "test_sequences")
+    test_sequences = REGISTRY.make_sequences(plugin_id, test_names, **options) if test_names else []
+    names = [sequence.name for sequence in (*sequences, *test_sequences)]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(f"The sequence '{twice[0]}' is named twice in data.sequences and data.test_sequences.")
+    for sequence in (*sequences, *test_sequences):
+        if len(sequence) < 2:
+            raise DataError(f"The sequence '{sequence.name}' has {len(sequence)} frame; SLAM needs at least two.")
+    return sequences, test_sequences
+
+
+def _names(config: Mapping[str, Any], key: str) -> list[str] | None:
+    """Names of recordings as strings: Hydra reads ``10`` as a number and ``00`` as text."""
+    value = config["data"].get(key)
+    if value is None:
+        return None
+    return [str(name) for name in (value if isinstance(value, list | tuple) else [value])]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names)

@@ -1,0 +1,58 @@
+"""Multiruns: a failing run does not stop the others, and one table at the end compares them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from prgbd.cli.display import complain, make_console
+from prgbd.core.errors import PrgbdError
+from prgbd.core.files import read_json, write_json
+
+ERROR = "error.json"
+
+
+class AblationTable(Callback):
+    """Hydra callback: joins the summaries of a multirun into one table and prints it."""
+
+    last_sweep: Path | None = None
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Remember the folder of the multirun."""
+        AblationTable.last_sweep = Path(str(config.hydra.sweep.dir))
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Print the table of all runs that ended."""
+        import prgbd.report.ablation as ablation
+
+        folder = Path(str(config.hydra.sweep.dir))
+        if not any(folder.glob("*/summary.json")):
+            return
+        console = make_console()
+        try:
+            ablation.join(folder, console=console)
+        except PrgbdError as error:
+            complain(str(error))
+
+
+def note_failure(folder: Path, error: BaseException) -> None:
+    """Leave a note in the folder of a run of a multirun that failed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / ERROR, {"error": type(error).__name__, "message": str(error)})
+
+
+def exit_code(folder: Path | None) -> int:
+    """Return 0 if every run of the multirun in ``folder`` ended well, 2 if all failures can be mended, else 1."""
+    notes = [read_json(path) for path in sorted(folder.glob(f"*/{ERROR}"))] if folder is not None else []
+    if not notes:
+        return 0
+    complain(f"{len(notes)} of the runs failed; see the messages above and {folder}{'/'}*/{ERROR}.")
+    mendable = {cls.__name__ for cls in _all_subclasses(PrgbdError)}
+    return 2 if all(note["error"] in mendable for note in notes) else 1
+
+
+def _all_subclasses(cls: type[Any]) -> list[type[Any]]:
+    return [cls, *(found for sub in cls.__subclasses__() for found in _all_subclasses(sub))]

@@ -1,0 +1,240 @@
+"""``DepthSensor``: a depth network used as the depth sensor of RGB-D SLAM."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from prgbd.core.data import Sequence
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import ContractError
+from prgbd.core.files import atomic_path, read_json, write_json
+from prgbd.core.types import Frame
+from prgbd.loop.monitor import Monitor, SilentMonitor
+
+# Virtual baseline and largest depth on KITTI, whose ratio the adaptive baseline keeps (the paper, section 3.1).
+KITTI_BASELINE = 0.54
+KITTI_DEPTH_MAX = 80.0
+_SUBSAMPLING = 8
+
+
+@dataclass(frozen=True)
+class DepthStatistics:
+    """What the predicted depth of a sequence looks like, in the network's unit.
+
+    Attributes:
+        depth_max: The largest depth over the sequence, or its percentile where that was asked for.
+        median: Median depth of every frame, whose jumps show the network's scale drifting.
+        maximum: Largest depth of every frame.
+    """
+
+    depth_max: float
+    median: list[float]
+    maximum: list[float]
+
+    @property
+    def adaptive_baseline(self) -> float:
+        """The virtual baseline b = (0.54 / 80) * d_max, metres if the network is metric."""
+        return adaptive_baseline(self.depth_max)
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the numbers that show at a glance whether the network keeps its scale, for ``slam.json``."""
+        median = np.asarray(self.median)
+        steps = np.abs(np.diff(np.log(median))) if len(median) > 1 else np.zeros(1)
+        return {
+            "depth_max": self.depth_max,
+            "median_depth": float(np.median(median)),
+            "median_depth_lowest": float(median.min()),
+            "median_depth_highest": float(median.max()),
+            "largest_scale_step": float(np.expm1(steps.max())),
+        }
+
+
+def adaptive_baseline(depth_max: float) -> float:
+    """Return the virtual baseline that goes with the largest predicted depth (the paper, section 3.1)."""
+    return KITTI_BASELINE / KITTI_DEPTH_MAX * depth_max
+
+
+class DepthSensor:
+    """Frames of a sequence with the depth that a network predicts for them.
+
+    Depth is predicted once per frame at the network's size and its inverse kept in a file (4 bytes a pixel), so
+    memory does not grow with the sequence; it is resized to the image's size when a frame is asked for.
+
+    Args:
+        estimator: The network; it is used in evaluation mode, on the device where it lies.
+        sequence: The recording.
+        cache: Folder for the file of predicted depth. The name holds the plug-in, its weights and the recording.
+        name: Id of the depth plug-in, for messages and the cache's name.
+        percentile: d_max is this percentile of all predicted depths; 100 is the paper's largest depth.
+        batch_size: Frames per forward pass; None is 1 on the CPU and 8 on a GPU.
+        monitor: Who watches.
+    """
+
+    def __init__(
+        self,
+        estimator: DepthEstimator,
+        sequence: Sequence,
+        cache: Path,
+        *,
+        name: str,
+        percentile: float = 100.0,
+        batch_size: int | None = None,
+        monitor: Monitor | None = None,
+    ) -> None:
+        self.estimator = estimator
+        self.sequence = sequence
+        self.name = name
+        self.percentile = percentile
+        self._monitor = monitor or SilentMonitor()
+        self._device = next((p.device for p in estimator.parameters()), torch.device("cpu"))
+        self._batch_size = batch_size or (1 if self._device.type == "cpu" else 8)
+        stem = f"{sequence.name}-{cache_key(estimator, sequence, name)}"
+        self.path = cache / f"{stem}.npy"
+        self._statistics_path = cache / f"{stem}.json"
+        self._inverse: NDArray[np.float32] | None = None
+        self._statistics: DepthStatistics | None = None
+
+    def prepare(self) -> DepthStatistics:
+        """Predict depth for the whole sequence unless it is in the cache.
+
+        Raises:
+            ContractError: If the network gives depth that is not positive and finite; it names plug-in and frame.
+        """
+        if self._statistics is None:
+            if not (self.path.is_file() and self._statistics_path.is_file()):
+                self._predict_all()
+            self._statistics = self._read_statistics()
+        return self._statistics
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield every frame with its pseudo depth, in order."""
+        for index in range(len(self)):
+            yield self.frame(index)
+
+    def frame(self, index: int) -> Frame:
+        """Return a frame whose depth is the network's, (H, W) float32 at the image's size."""
+        frame = self.sequence.frame(index)
+        return frame.with_depth(self.depth(index))
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """Return the predicted depth of a frame at the image's size, (H, W) float32 in the network's unit."""
+        self.prepare()
+        if self._inverse is None:
+            self._inverse = np.load(self.path, mmap_mode="r")
+        camera = self.sequence.camera
+        # The inverse is what is interpolated: an edge between near and far must not smear towards the far side.
+        inverse = np.array(self._inverse[index])
+        if inverse.shape != (camera.height, camera.width):
+            inverse = cv2.resize(inverse, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+        return (1.0 / inverse).astype(np.float32)
+
+    def forget(self) -> None:
+        """Delete the file of predicted depth."""
+        self._inverse = None
+        self.path.unlink(missing_ok=True)
+        self._statistics_path.unlink(missing_ok=True)
+
+    def _predict_all(self) -> None:
+        count = len(self.sequence)
+        median, maximum = np.zeros(count), np.zeros(count)
+        with (
+            atomic_path(self.path) as temporary,
+            self._monitor.stage(f"Depth of {self.sequence.name}", count) as progress,
+        ):
+            file: NDArray[np.float32] | None = None
+            for start in range(0, count, self._batch_size):
+                indices = range(start, min(start + self._batch_size, count))
+                for index, depth in zip(indices, self._predict(indices), strict=True):
+                    if file is None:
+                        file = np.lib.format.open_memmap(temporary, "w+", np.float32, (count, *depth.shape))
+                    self._check(depth, index)
+                    file[index] = 1.0 / depth
+                    median[index], maximum[index] = float(np.median(depth)), float(depth.max())
+                    progress.advance()
+            assert file is not None  # a sequence has at least one frame
+            depth_max = float(maximum.max()) if self.percentile >= 100 else self._percentile(file)
+            file.flush()  # type: ignore[attr-defined]
+            del file
+        write_json(self._statistics_path, asdict(DepthStatistics(depth_max, median.tolist(), maximum.tolist())))
+
+    def _predict(self, indices: range) -> NDArray[np.float32]:
+        """Predict (n, h, w) depth at the network's size, or the plug-in's own if it brings its own ``predict``."""
+        images = [self.sequence.frame(index).image for index in indices]
+        if type(self.estimator).predict is not DepthEstimator.predict:
+            return np.stack([self.estimator.predict(image) for image in images])
+        was_training = self.estimator.training
+        self.estimator.eval()
+        try:
+            with torch.inference_mode():
+                batch = torch.stack([self.estimator.preprocess(image) for image in images]).to(self._device)
+                try:
+                    depth = self.estimator(batch).depth[:, 0].float().cpu().numpy()
+                except ContractError as error:
+                    raise ContractError(
+                        f"{error} It happened at frame {indices[0]} of '{self.sequence.name}'."
+                    ) from error
+        finally:
+            self.estimator.train(was_training)
+        return np.asarray(depth, np.float32)
+
+    def _check(self, depth: NDArray[np.float32], index: int) -> None:
+        bad = int(np.count_nonzero(~(np.isfinite(depth) & (depth > 0))))
+        if bad:
+            raise ContractError(
+                f"The depth plug-in '{self.name}' predicted {bad} values that are zero, negative, NaN or infinite at "
+                f"frame {index} of '{self.sequence.name}'; depth must be positive and finite, so check its weights."
+            )
+
+    def _percentile(self, inverse: NDArray[np.float32]) -> float:
+        """The percentile of depth over a regular subset of pixels: every pixel would not fit into memory."""
+        step = _SUBSAMPLING if min(inverse.shape[1:]) >= 8 * _SUBSAMPLING else 1
+        pixels = np.concatenate([frame[::step, ::step].ravel() for frame in inverse])
+        return float(1.0 / np.percentile(pixels, 100.0 - self.percentile))
+
+    def _read_statistics(self) -> DepthStatistics:
+        stored = read_json(self._statistics_path)
+        if self.percentile < 100:
+            # The cache may have been filled under another percentile.
+            stored["depth_max"] = self._percentile(np.load(self.path, mmap_mode="r"))
+        else:
+            stored["depth_max"] = float(max(stored["maximum"]))
+        return DepthStatistics(**stored)
+
+
+def weights_fingerprint(estimator: DepthEstimator) -> str:
+    """Return a short hash of all parameters and buffers."""
+    digest = hashlib.sha256()
+    for name, tensor in estimator.state_dict().items():
+        digest.update(name.encode())
+        if torch.is_tensor(tensor):
+            digest.update(str((tuple(tensor.shape), tensor.dtype)).encode())
+            digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str) -> str:
+    """Return what the predicted depth depends on: plug-in, weights, input size, recording and its options."""
+    parts: list[Any] = [
+        name,
+        weights_fingerprint(estimator),
+        list(estimator.input_size),
+        sequence.name,
+        sequence.camera.to_dict(),
+        len(sequence),
+        [float(sequence.timestamps[0]), float(sequence.timestamps[-1])],
+        hashlib.sha256(np.ascontiguousarray(sequence.frame(0).image).tobytes()).hexdigest()[:16],
+    ]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
