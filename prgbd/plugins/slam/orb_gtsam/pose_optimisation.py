@@ -69,7 +69,7 @@ def optimise_pose(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _chi2(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, camera: FloatArray) -> float:
+def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, camera: FloatArray) -> float:
     """Return the chi-square of one observation; infinite behind the camera."""
     z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
     if not z > 1e-9:
@@ -106,7 +106,7 @@ def _cost(
     for k in range(len(xyz)):
         if not active[k]:
             continue
-        chi2 = min(_chi2(pose, xyz[k], uvr[k], inv_sigma2[k], camera), BEHIND)
+        chi2 = min(chi2_of(pose, xyz[k], uvr[k], inv_sigma2[k], camera), BEHIND)
         total += huber(chi2, CHI2_STEREO if uvr[k, 2] >= 0.0 else CHI2_MONO) if robust else chi2
     return total
 
@@ -245,13 +245,13 @@ def _optimise(
                         damping = max(damping * 0.1, 1e-10)
                         break
                 damping *= 10.0
-            if not before - cost > _CONVERGED * before:
+            if not before - cost > _CONVERGED * before + 1e-12:
                 break
         orthonormalise(pose)
         count = 0
         for k in range(n):
             limit = CHI2_STEREO if uvr[k, 2] >= 0.0 else CHI2_MONO
-            inlier[k] = usable[k] and _chi2(pose, xyz[k], uvr[k], inv_sigma2[k], camera) <= limit
+            inlier[k] = usable[k] and chi2_of(pose, xyz[k], uvr[k], inv_sigma2[k], camera) <= limit
             count += inlier[k]
     if count < 3:
         inlier[:] = False
