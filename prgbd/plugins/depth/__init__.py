@@ -1,0 +1,1 @@
+"""The depth networks that come with prgbd."""
