@@ -55,7 +55,7 @@ class BundleProblem:
         uvr: (M, 3) pixels.
         weight: (M,) inverse variance.
         camera: ``(fx, fy, cx, cy, bf)``.
-        usable: (M,) bool, observations that are finite numbers.
+        usable: (M,) bool, observations that are finite numbers of positive weight.
     """
 
     poses: FloatArray
@@ -97,8 +97,10 @@ class BundleProblem:
         if len(kf) and (kf.min() < 0 or kf.max() >= len(poses) or pt[0] < 0 or pt[-1] >= len(points)):
             raise ContractError("Bundle adjustment was given an observation of a keyframe or point that is not there.")
         free = ~np.asarray(fixed, np.bool_)
-        sorted_uvr = np.ascontiguousarray(uvr[order], np.float64)
+        sorted_uvr = np.array(uvr[order], np.float64, order="C")
         weight = np.ascontiguousarray(inv_sigma2[order], np.float64)
+        if not camera[4] > 0:
+            sorted_uvr[:, 2] = -1.0
         return cls(
             poses=poses,
             points=points,
@@ -111,7 +113,7 @@ class BundleProblem:
             uvr=sorted_uvr,
             weight=weight,
             camera=np.array(camera, np.float64),
-            usable=np.isfinite(sorted_uvr).all(axis=1) & np.isfinite(weight),
+            usable=np.isfinite(sorted_uvr).all(axis=1) & np.isfinite(weight) & (weight > 0),
         )
 
     def cost(self, robust: bool) -> float:
@@ -187,7 +189,7 @@ def local_bundle_adjustment(
         fy: Focal length in pixels.
         cx: Principal point in pixels.
         cy: Principal point in pixels.
-        bf: Baseline times ``fx``.
+        bf: Baseline times ``fx``; not positive for a monocular camera, whose ``u_right`` are ignored.
         iterations: Most iterations of the two rounds; a round ends earlier when it has converged.
         robust: Whether to apply the kernel and the removal of outliers.
 
