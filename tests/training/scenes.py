@@ -9,7 +9,7 @@ from prgbd.core.types import Frame, Keyframes, MapPoints, Observations, PinholeC
 
 
 class WallSequence(Sequence):
-    """A camera that drifts right and forward before the wall ``0.25 x - 0.15 y + z = 5``, with exact depth."""
+    """A camera that drifts along the wall ``0.25 x - 0.15 y + z = 5``, with exact depth, the same in every frame."""
 
     normal, offset = np.array([0.25, -0.15, 1.0]), 5.0
 
@@ -20,7 +20,7 @@ class WallSequence(Sequence):
         self.reads = 0
         self._poses = np.tile(np.eye(4), (frames, 1, 1))
         self._poses[:, 0, 3] = step * np.arange(frames)
-        self._poses[:, 2, 3] = 0.5 * step * np.arange(frames)
+        self._poses[:, 2, 3] = -0.25 * step * np.arange(frames)
 
     @property
     def poses(self):

@@ -1,0 +1,254 @@
+"""Depth refinement: a depth network learns from SLAM's poses, keyframes and points (paper, section 3.3)."""
+
+from __future__ import annotations
+
+import logging
+import math
+import shutil
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from collections.abc import Sequence as Many
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import lightning
+import numpy as np
+import torch
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar
+from lightning.pytorch.utilities.seed import isolate_rng
+
+from prgbd.core.data import Sequence
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import SlamError
+from prgbd.core.types import SlamResult
+from prgbd.training.refinement_data import (
+    RefinementBatch,
+    RefinementData,
+    SupervisedImages,
+    decode_images,
+    needed_frames,
+)
+from prgbd.training.refinement_module import DepthRefinement, LossRows, points_at
+from prgbd.training.refinement_settings import RefinementSettings
+from prgbd.training.sparse_losses import sample_patches
+from prgbd.training.supervision import Supervision, keyframe_samples
+
+_SCALE_SAMPLES = 16
+
+
+@dataclass(frozen=True)
+class RefinementOutcome:
+    """What a refinement did.
+
+    Attributes:
+        losses: One row per training step and per pass over the held-out keyframes: ``split`` (``train`` or
+            ``held_out``), ``epoch``, ``step``, ``total`` and the unweighted value of every computed term.
+        held_out_before: Total loss on the held-out keyframes before training, the label-free criterion.
+        held_out_after: The same after training, on the same supervision and with the same noise.
+        samples: Number of keyframes that gave a sample.
+        train_samples: How many of them trained.
+        held_out_samples: How many of them measured the criterion.
+        keyframes: Number of keyframes that SLAM kept.
+        skipped: Why the others gave none, reason -> number.
+        points_per_sample: Mean number of points that a sample's three keyframes share.
+        scales: Factor on SLAM's lengths per sequence; 1 where the scale was left alone.
+        seconds: Duration.
+    """
+
+    losses: list[dict[str, Any]]
+    held_out_before: float
+    held_out_after: float
+    samples: int
+    train_samples: int
+    held_out_samples: int
+    keyframes: int
+    skipped: dict[str, int]
+    points_per_sample: float
+    scales: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+def refine(
+    estimator: DepthEstimator,
+    supervised: Many[tuple[Sequence, SlamResult]],
+    settings: RefinementSettings,
+    out: Path,
+    trainer_options: Mapping[str, Any] | None = None,
+    logger: Any = None,
+) -> RefinementOutcome:
+    """Fine-tune a depth network on what SLAM found out about one or several sequences.
+
+    The network is trained in place. Nothing is read from ``out``, so a refinement that was killed simply starts again.
+    Same seed, same machine, same result; the caller's random state is left alone.
+
+    Args:
+        estimator: The network.
+        supervised: Recordings and what SLAM made of them.
+        settings: All options of the refinement.
+        out: Folder for images that do not fit into memory, and for the checkpoint if there is to be one.
+        trainer_options: Options of ``lightning.Trainer`` (accelerator, devices, precision, ...).
+        logger: A Lightning logger, or several.
+
+    Returns:
+        Losses, the label-free criterion before and after, and what became of the keyframes.
+
+    Raises:
+        SlamError: If no keyframe of any sequence can supervise depth.
+        DataError: If an image cannot be read, or SLAM saw images of another size.
+    """
+    began = time.perf_counter()
+    supervisions = [_supervision(result, settings) for _, result in supervised]
+    _require_samples(supervised, supervisions)
+    out.mkdir(parents=True, exist_ok=True)
+    was_training = estimator.training
+    with _decoded(estimator, supervised, supervisions, settings, out) as sources, _quiet(), isolate_rng():
+        lightning.seed_everything(settings.seed, workers=True, verbose=False)
+        data = RefinementData(sources, settings)
+        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer_options or {}, logger)
+    estimator.train(was_training)
+    held_out = [row for row in rows if row["split"] == "held_out"]
+    return RefinementOutcome(
+        losses=rows,
+        held_out_before=held_out[0]["total"],
+        held_out_after=held_out[-1]["total"],
+        samples=sum(len(s.samples) for s in supervisions),
+        train_samples=data.train_samples,
+        held_out_samples=data.held_out_samples,
+        keyframes=sum(s.keyframes for s in supervisions),
+        skipped=dict(sum((Counter(s.skipped) for s in supervisions), Counter())),
+        points_per_sample=float(np.mean([len(x.point) for s in supervisions for x in s.samples])),
+        scales={source.name: source.scale for source in sources},
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _fit(
+    module: DepthRefinement, data: RefinementData, out: Path, trainer_options: Mapping[str, Any], logger: Any
+) -> list[dict[str, Any]]:
+    """Measure the criterion, train, measure it again; return the rows of losses."""
+    rows = LossRows()
+    options = dict(trainer_options)
+    progress = options.pop("enable_progress_bar", sys.stderr.isatty())
+    callbacks: list[Callback] = [*options.pop("callbacks", []), rows]
+    if progress:
+        callbacks.append(RichProgressBar(leave=False))
+    if module.settings.checkpoint:
+        folder = out / "checkpoint"
+        shutil.rmtree(folder, ignore_errors=True)
+        callbacks.append(ModelCheckpoint(folder, filename="last", save_top_k=1, enable_version_counter=False))
+    defaults: dict[str, Any] = {
+        "accelerator": "cpu",
+        "devices": 1,
+        "max_epochs": module.settings.epochs,
+        "default_root_dir": out,
+        "num_sanity_val_steps": 0,
+        "log_every_n_steps": 1,
+        "enable_model_summary": False,
+    }
+    trainer = lightning.Trainer(
+        **(defaults | options),
+        callbacks=callbacks,
+        logger=logger if logger is not None else False,
+        enable_checkpointing=module.settings.checkpoint,
+        enable_progress_bar=bool(progress),
+    )
+    trainer.validate(module, datamodule=data, verbose=False)
+    module.train()  # Lightning trains in the mode that it finds
+    trainer.fit(module, datamodule=data)
+    if rows.rows[-1]["split"] != "held_out":
+        trainer.validate(module, datamodule=data, verbose=False)
+    return rows.rows
+
+
+def _supervision(result: SlamResult, settings: RefinementSettings) -> Supervision:
+    return keyframe_samples(
+        result,
+        min_keyframes=settings.min_keyframes,
+        max_reprojection_error=settings.max_reprojection_error,
+        keyframe_gap=settings.keyframe_gap,
+        frame_gap=settings.frame_gap,
+        min_common_points=settings.min_common_points,
+    )
+
+
+def _require_samples(supervised: Many[tuple[Sequence, SlamResult]], supervisions: Many[Supervision]) -> None:
+    if any(s.samples for s in supervisions):
+        return
+    names = ", ".join(f"'{sequence.name}'" for sequence, _ in supervised) or "no sequence"
+    skipped: Counter[str] = sum((Counter(s.skipped) for s in supervisions), Counter())
+    reasons = "; ".join(f"{number} with {reason}" for reason, number in skipped.items()) or "no keyframes at all"
+    raise SlamError(
+        f"SLAM on {names} gave no keyframe that could supervise depth ({reasons}); use a recording that is longer, or "
+        "on which SLAM keeps track."
+    )
+
+
+@contextmanager
+def _decoded(
+    estimator: DepthEstimator,
+    supervised: Many[tuple[Sequence, SlamResult]],
+    supervisions: Many[Supervision],
+    settings: RefinementSettings,
+    out: Path,
+) -> Iterator[list[SupervisedImages]]:
+    """Decode all images once; what does not fit into memory lies in a folder that goes at the end."""
+    height, width = estimator.input_size
+    needed = sum(len(needed_frames(s)) for s in supervisions) * 3 * height * width
+    folder = out / "images" if needed > settings.memory_mb * 2**20 else None
+    try:
+        sources = []
+        for number, ((sequence, result), supervision) in enumerate(zip(supervised, supervisions, strict=True)):
+            file = folder / f"{number}.npy" if folder and supervision.samples else None
+            source = decode_images(sequence, supervision, estimator, file)
+            if settings.align_scale or (settings.align_scale is None and result.mode == "mono"):
+                source = replace(source, scale=network_scale(estimator, source))
+            sources.append(source)
+        yield sources
+    finally:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def network_scale(estimator: DepthEstimator, source: SupervisedImages) -> float:
+    """Return the median ratio of predicted depth to SLAM's depth at the points of up to 16 current keyframes.
+
+    1 if there is no point to compare.
+    """
+    count = len(source.supervision.samples)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _SCALE_SAMPLES)).round().astype(int))
+    device = next((p.device for p in estimator.parameters()), torch.device("cpu"))
+    ratios = []
+    was_training = estimator.training
+    estimator.eval()
+    with torch.inference_mode():
+        for index in chosen:
+            sample = source.sample(int(index))
+            depth = estimator(sample.images[:1].to(device).float() / 255).depth.float().cpu()
+            batch = RefinementBatch(*(value[None] for value in sample))
+            predicted = sample_patches(depth, points_at(batch, depth, 0)[0], 1)
+            known = predicted.inside[0, :, 0] & (sample.depth[0] > 0)
+            ratios.append(predicted.depth[0, known, 0] / sample.depth[0, known])
+    estimator.train(was_training)
+    ratio = torch.cat(ratios) if ratios else torch.zeros(0)
+    scale = float(ratio.median()) if len(ratio) else 1.0
+    return scale if math.isfinite(scale) and scale > 0 else 1.0
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Lightning's advice on workers and hardware out of the user's terminal."""
+    logger = logging.getLogger("lightning.pytorch")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="lightning.*")
+            warnings.filterwarnings("ignore", module="torch.utils.data.*")
+            yield
+    finally:
+        logger.setLevel(level)

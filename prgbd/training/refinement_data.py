@@ -1,0 +1,217 @@
+"""Samples of several sequences as batches: images at the network's size, cameras and pixels resized to match."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Many
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import lightning
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from prgbd.core.data import Sequence
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import DataError
+from prgbd.core.types import PinholeCamera
+from prgbd.training.refinement_settings import RefinementSettings
+from prgbd.training.supervision import KeyframeSample, Supervision
+
+
+class RefinementBatch(NamedTuple):
+    """A batch of keyframes with their neighbours; a single sample is the same without the first axis.
+
+    Attributes:
+        images: (B, 5, 3, H, W) uint8, or float in [0, 1] once on the device: c, c-1, c+1, k1, k2.
+        K: (B, 3, 3) float32 intrinsics at the size of the images, pixels.
+        aTc: (B, 2, 4, 4) float32 from c to the adjacent frames.
+        kTc: (B, 2, 4, 4) float32 from c to k1 and k2.
+        uv: (B, 3, N, 2) float32 keypoints in c, k1 and k2, pixels of the images.
+        depth: (B, 3, N) float32 depth by SLAM in c, k1 and k2.
+        mask: (B, N) bool, real points; the rest is padding.
+    """
+
+    images: Tensor
+    K: Tensor
+    aTc: Tensor
+    kTc: Tensor
+    uv: Tensor
+    depth: Tensor
+    mask: Tensor
+
+
+@dataclass(frozen=True)
+class SupervisedImages:
+    """One sequence's samples with the decoded images that they need.
+
+    Attributes:
+        name: Of the sequence.
+        supervision: The samples.
+        camera: At the network's input size.
+        frames: (F,) int64 ascending positions of the decoded frames in the sequence.
+        images: (F, 3, h, w) uint8, in memory or mapped from a file.
+        scale: Factor on SLAM's lengths.
+    """
+
+    name: str
+    supervision: Supervision
+    camera: PinholeCamera
+    frames: NDArray[np.int64]
+    images: NDArray[np.uint8]
+    scale: float = 1.0
+
+    def sample(self, index: int) -> RefinementBatch:
+        """Return a sample in tensors, at the network's input size and in the network's scale."""
+        sample: KeyframeSample = self.supervision.samples[index]
+        rows = np.searchsorted(self.frames, sample.frames)
+        aTc, kTc = sample.aTc.copy(), sample.kTc.copy()
+        aTc[:, :3, 3] *= self.scale
+        kTc[:, :3, 3] *= self.scale
+        return RefinementBatch(
+            images=torch.from_numpy(np.array(self.images[rows])),
+            K=torch.from_numpy(self.camera.K).float(),
+            aTc=torch.from_numpy(aTc).float(),
+            kTc=torch.from_numpy(kTc).float(),
+            uv=torch.from_numpy(resized_pixels(sample.uv, self.supervision.camera, self.camera)),
+            depth=torch.from_numpy(sample.depth * np.float32(self.scale)),
+            mask=torch.ones(len(sample.point), dtype=torch.bool),
+        )
+
+
+def resized_pixels(uv: NDArray[np.float32], before: PinholeCamera, after: PinholeCamera) -> NDArray[np.float32]:
+    """Move pixels (..., 2) from one image size of a camera to another, through the rays that they stand for."""
+    focal = np.array([after.fx / before.fx, after.fy / before.fy])
+    return ((uv - [before.cx, before.cy]) * focal + [after.cx, after.cy]).astype(np.float32)
+
+
+def decode_images(
+    sequence: Sequence, supervision: Supervision, estimator: DepthEstimator, file: Path | None
+) -> SupervisedImages:
+    """Decode and resize every frame that the samples need, once.
+
+    Args:
+        sequence: The recording.
+        supervision: Its samples.
+        estimator: Says the size.
+        file: Where to keep the images; None for memory.
+
+    Raises:
+        DataError: If SLAM's camera is not the recording's.
+    """
+    camera = supervision.camera
+    if (camera.width, camera.height) != (sequence.camera.width, sequence.camera.height):
+        raise DataError(
+            f"SLAM worked on {camera.width}x{camera.height} images, but '{sequence.name}' has "
+            f"{sequence.camera.width}x{sequence.camera.height}; refine on the recording that SLAM saw."
+        )
+    frames = needed_frames(supervision)
+    height, width = estimator.input_size
+    shape = (len(frames), 3, height, width)
+    if file is None:
+        images: NDArray[np.uint8] = np.empty(shape, np.uint8)
+    else:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        images = np.lib.format.open_memmap(file, mode="w+", dtype=np.uint8, shape=shape)
+    for row, frame in enumerate(frames):
+        image = estimator.preprocess(sequence.frame(int(frame)).image)
+        images[row] = image.mul(255).round_().clamp_(0, 255).to(torch.uint8).cpu().numpy()
+    return SupervisedImages(sequence.name, supervision, camera.resized(width, height), frames, images)
+
+
+def needed_frames(supervision: Supervision) -> NDArray[np.int64]:
+    """Positions of all frames that the samples name, ascending."""
+    return np.unique(np.concatenate([s.frames for s in supervision.samples] or [np.zeros(0, np.int64)]))
+
+
+def collate(samples: Many[RefinementBatch]) -> RefinementBatch:
+    """Stack samples, padding their points to the longest."""
+    longest = max(s.mask.shape[0] for s in samples)
+
+    def padded(tensor: Tensor, dim: int) -> Tensor:
+        shape = list(tensor.shape)
+        shape[dim] = longest - shape[dim]
+        return torch.cat([tensor, tensor.new_zeros(shape)], dim=dim)
+
+    return RefinementBatch(
+        images=torch.stack([s.images for s in samples]),
+        K=torch.stack([s.K for s in samples]),
+        aTc=torch.stack([s.aTc for s in samples]),
+        kTc=torch.stack([s.kTc for s in samples]),
+        uv=torch.stack([padded(s.uv, 1) for s in samples]),
+        depth=torch.stack([padded(s.depth, 1) for s in samples]),
+        mask=torch.stack([padded(s.mask, 0) for s in samples]),
+    )
+
+
+def split_held_out(count: int, fraction: float) -> tuple[list[int], list[int]]:
+    """Split ``count`` samples into training and held-out ones, every n-th being held out.
+
+    With a fraction of 0, or a single sample, the training samples stand in for the held-out ones.
+    """
+    everything = list(range(count))
+    if fraction <= 0 or count < 2:
+        return everything, everything
+    every = round(1 / fraction)
+    held_out = everything[every // 2 :: every] or [count // 2]
+    return [i for i in everything if i not in set(held_out)], held_out
+
+
+class _Samples(Dataset[RefinementBatch]):
+    """Chosen samples of all sequences."""
+
+    def __init__(self, sources: Many[SupervisedImages], chosen: Many[tuple[int, int]]) -> None:
+        self._sources = sources
+        self._chosen = chosen
+
+    def __len__(self) -> int:
+        return len(self._chosen)
+
+    def __getitem__(self, index: int) -> RefinementBatch:
+        source, sample = self._chosen[index]
+        return self._sources[source].sample(sample)
+
+
+class RefinementData(lightning.LightningDataModule):
+    """The samples of several sequences, split into training and held-out keyframes.
+
+    Args:
+        sources: Sequences with decoded images, all at one size.
+        settings: Batch size, workers, seed and split.
+
+    Attributes:
+        train_samples: Number of samples that train.
+        held_out_samples: Number of samples that measure the label-free criterion.
+    """
+
+    def __init__(self, sources: Many[SupervisedImages], settings: RefinementSettings) -> None:
+        super().__init__()
+        self._settings = settings
+        everything = [(s, i) for s, source in enumerate(sources) for i in range(len(source.supervision.samples))]
+        train, held_out = split_held_out(len(everything), settings.val_fraction)
+        self._train = _Samples(sources, [everything[i] for i in train])
+        self._held_out = _Samples(sources, [everything[i] for i in held_out])
+        self.train_samples, self.held_out_samples = len(train), len(held_out)
+
+    def _loader(self, samples: _Samples, generator: torch.Generator | None) -> DataLoader[RefinementBatch]:
+        workers = self._settings.workers
+        return DataLoader(
+            samples,
+            batch_size=self._settings.batch_size,
+            shuffle=generator is not None,
+            generator=generator,
+            collate_fn=collate,
+            num_workers=workers,
+            persistent_workers=workers > 0,
+        )
+
+    def train_dataloader(self) -> DataLoader[RefinementBatch]:
+        """Shuffled by the seed."""
+        return self._loader(self._train, torch.Generator().manual_seed(self._settings.seed))
+
+    def val_dataloader(self) -> DataLoader[RefinementBatch]:
+        """The held-out keyframes in order."""
+        return self._loader(self._held_out, None)

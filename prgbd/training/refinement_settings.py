@@ -1,0 +1,101 @@
+"""``RefinementSettings``: everything that can be chosen about the refinement of a depth network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from prgbd.core.errors import ConfigError
+from prgbd.training.sparse_losses import REDUCTIONS
+
+TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
+
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """Options of depth refinement; the defaults are the paper's.
+
+    Attributes:
+        photometric: Weight alpha of the photometric term; a term of weight 0 is not computed.
+        smoothness: Weight beta of the smoothness term.
+        depth_consistency: Weight gamma of the depth consistency with SLAM's points.
+        depth_transfer: Weight mu of the symmetric depth transfer between the three keyframes.
+        learning_rate: Of Adam.
+        epochs: Passes over the keyframes.
+        batch_size: Keyframes per step (pre-training's 12); three images per keyframe pass through the network.
+        patch: Odd side of the patch around a keypoint that depth transfer compares, pixels of the network's input.
+        reduction: ``mean`` or ``sum`` over points and patch pixels in depth transfer; see ``depth_transfer``.
+        automask: Leave out what looks the same without motion (Monodepth2).
+        augment: Mirror half of the samples and jitter the colours of half of them.
+        freeze_batchnorm: Keep the statistics of batch normalisation as pre-training left them. A handful of similar
+            keyframes would otherwise move them away from what the network sees when it predicts.
+        workers: Processes that load batches; images lie decoded in memory, so 0 is usually fastest.
+        seed: Of shuffling, augmentation and the automatic mask.
+        val_fraction: Part of the keyframes that is held out for the label-free criterion; 0 measures it on the
+            training samples.
+        align_scale: Multiply SLAM's geometry by the median ratio of predicted to SLAM depth before training. None does
+            so for ``mono`` results alone, whose scale is arbitrary; pseudo RGB-D is in the network's own scale.
+        min_keyframes: Outlier removal: fewest keyframes that must observe a point.
+        max_reprojection_error: Outlier removal: pixels.
+        keyframe_gap: How many keyframes away the neighbouring keyframes are.
+        frame_gap: How many frames away the temporally adjacent frames are.
+        min_common_points: Points that a neighbouring keyframe should share with the current one.
+        memory_mb: Decoded images beyond this lie in a file instead of memory.
+        checkpoint: Write a Lightning checkpoint after every epoch.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+
+    photometric: float = 1.0
+    smoothness: float = 0.001
+    depth_consistency: float = 1.0
+    depth_transfer: float = 1.0
+    learning_rate: float = 1e-6
+    epochs: int = 1
+    batch_size: int = 12
+    patch: int = 5
+    reduction: str = "mean"
+    automask: bool = True
+    augment: bool = False
+    freeze_batchnorm: bool = True
+    workers: int = 0
+    seed: int = 0
+    val_fraction: float = 0.1
+    align_scale: bool | None = None
+    min_keyframes: int = 3
+    max_reprojection_error: float = 3.0
+    keyframe_gap: int = 1
+    frame_gap: int = 1
+    min_common_points: int = 20
+    memory_mb: int = 1024
+    checkpoint: bool = False
+
+    def __post_init__(self) -> None:
+        for name in TERMS:
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ConfigError(f"loss.{name} is {getattr(self, name)}; a weight must be 0 or positive.")
+        if not any(self.weights.values()):
+            raise ConfigError("All loss weights are 0, so nothing would be trained; set one of loss.* above 0.")
+        positive = ("learning_rate", "epochs", "batch_size", "min_keyframes", "max_reprojection_error")
+        for name in (*positive, "keyframe_gap", "frame_gap"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be positive.")
+        for name in ("workers", "min_common_points", "memory_mb"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be 0 or positive.")
+        if self.patch < 1 or self.patch % 2 == 0:
+            raise ConfigError(f"training.patch is {self.patch}; the side of a patch must be an odd number of pixels.")
+        if self.reduction not in REDUCTIONS:
+            raise ConfigError(f"training.reduction is '{self.reduction}'; choose one of {', '.join(REDUCTIONS)}.")
+        if not 0 <= self.val_fraction <= 0.5:
+            raise ConfigError(f"training.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The weight of every term."""
+        return {name: float(getattr(self, name)) for name in TERMS}
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of all options."""
+        return tuple(f.name for f in fields(cls))
