@@ -16,19 +16,19 @@ EXAMPLES = (
     ("the self-improving loop on a synthetic street", "slam=orb_gtsam depth=monodepth2 depth.weights=demo"),
     (
         "the loop on your own video",
-        "slam=orb_gtsam depth=monodepth2 depth.weights=FOLDER data=video data.root=FILE.mp4 data.fov=70",
+        "slam=orb_gtsam depth=monodepth2 depth.weights=W data=video data.root=FILE.mp4 data.fov=70",
     ),
     (
         "the loop on KITTI odometry 00",
-        "slam=orb_gtsam depth=monodepth2 depth.weights=FOLDER data=kitti_odometry data.root=KITTI 'data.sequences=[00]'",
+        "slam=orb_gtsam depth=monodepth2 depth.weights=W data=kitti_odometry data.root=KITTI 'data.sequences=[00]'",
     ),
     (
-        "SLAM alone, with the depth of an RGB-D camera",
+        "SLAM alone, on an RGB-D camera",
         "slam=orb_gtsam task=slam slam.mode=rgbd data=tum_rgbd data.root=TUM",
     ),
     (
         "depth maps of a folder of images",
-        "depth=monodepth2 depth.weights=FOLDER task=depth data=images data.root=FOLDER",
+        "depth=monodepth2 depth.weights=W task=depth data=images data.root=FOLDER",
     ),
     ("which loss term matters (four runs, one table)", "-m experiment=smoke loss=all,no_photometric,no_depth_transfer"),
     ("go on with a run that was stopped", "resume=last"),
@@ -43,7 +43,7 @@ OPTIONS = (
         "slam.baseline=auto",
         "metres; auto adapts the virtual baseline to the network's depth: 0.54 / 80 * largest depth",
     ),
-    ("depth.weights=FOLDER", "weights of the network"),
+    ("depth.weights=W", "folder of the weights of the network"),
     ("data.root=FOLDER", "where the recordings lie"),
     ("data.sequences=[A,B]", "which recordings; data.test_sequences=[C] are evaluated but not trained on"),
     ("training.learning_rate=1e-6", "and training.epochs=1: the refinement"),
@@ -64,7 +64,7 @@ def choices(group: str) -> list[str]:
 def print_help(console: Console) -> None:
     """Print what prgbd does, the groups with their choices, examples and the important options."""
     console.print(
-        "[bold]prgbd[/bold] makes a depth network and a SLAM system improve each other from unlabelled monocular video:\n"
+        "[bold]prgbd[/bold] makes a depth network and a SLAM system improve each other from unlabelled video:\n"
         "the network is the depth sensor of RGB-D SLAM, SLAM's poses and points refine the network, and again.\n"
     )
     console.print("[bold]python -m prgbd slam=ID depth=ID [GROUP=CHOICE ...] [OPTION=VALUE ...]", highlight=False)

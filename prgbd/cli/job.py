@@ -103,18 +103,18 @@ def _run(job: Job) -> None:
             work(job)
         except KeyboardInterrupt:
             log.info("Stopped by the user.")
-            complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={_shown(folder)}")
+            complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={shown(folder)}")
             raise SystemExit(130) from None
         except PrgbdError as error:
             log.error("%s\n%s", error, traceback.format_exc())
-            error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={_shown(folder)}")
+            error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={shown(folder)}")
             raise
         except Exception:
             log.error("prgbd failed\n%s", traceback.format_exc())
             raise
         job.store.finish(DONE)
         job.store.close()
-        job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {_shown(folder)}")
+        job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {shown(folder)}")
 
 
 def _facts(job: Job) -> dict[str, Any]:
@@ -128,12 +128,12 @@ def _facts(job: Job) -> dict[str, Any]:
         "data": f"{parts.ids['data']}: {names}{f' and {more} more' if more > 0 else ''}",
         "test": ", ".join(s.name for s in parts.test_sequences),
         "seed": config["seed"],
-        "folder": _shown(job.store.folder),
+        "folder": shown(job.store.folder),
     }
     return {key: value for key, value in facts.items() if value != ""}
 
 
-def _shown(folder: Path) -> str:
+def shown(folder: Path) -> str:
     """The folder as the user would type it here."""
     with contextlib.suppress(ValueError):
         return str(folder.resolve().relative_to(Path.cwd()))

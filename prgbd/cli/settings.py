@@ -1,0 +1,154 @@
+"""From the configuration to the settings of the parts: names and types checked, one sentence for what is wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib.util
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from prgbd.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import torch
+
+    from prgbd.cli.parts import Parts
+    from prgbd.loop.self_improving import LoopSettings
+    from prgbd.loop.summary import RunIdentity
+    from prgbd.training.refinement_settings import RefinementSettings
+
+
+def number(config: Mapping[str, Any], key: str, *, optional: bool = False) -> Any:
+    """Return a numeric option by its dotted name.
+
+    Raises:
+        ConfigError: If it is not a number.
+    """
+    node: Any = config
+    for part in key.split("."):
+        node = node.get(part) if isinstance(node, Mapping) else None
+    if node is None and optional:
+        return None
+    if isinstance(node, str):
+        with contextlib.suppress(ValueError):
+            node = float(node)  # YAML 1.1 reads 1e-6 as text
+    if isinstance(node, bool) or not isinstance(node, int | float):
+        raise ConfigError(f"{key} is {node!r}; it must be a number.")
+    return node
+
+
+def refinement_settings(config: Mapping[str, Any]) -> RefinementSettings:
+    """Make the settings of the refinement from ``loss``, ``training`` and ``seed``.
+
+    Raises:
+        ConfigError: If an option is unknown or has a value that cannot work.
+    """
+    from prgbd.training.refinement_settings import RefinementSettings
+
+    given = {"seed": config["seed"], **config["loss"], **config["training"]}
+    known = RefinementSettings.names()
+    values = {}
+    for name, value in given.items():
+        if name not in known:
+            near = difflib.get_close_matches(str(name), known, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}."
+            raise ConfigError(f"The refinement has no option '{name}'; {hint}")
+        default = RefinementSettings.__dataclass_fields__[str(name)].default
+        if isinstance(default, bool | str) or default is None:
+            values[str(name)] = value
+            continue
+        group = "loss" if name in config["loss"] else "training"
+        value = number({group: given}, f"{group}.{name}")
+        values[str(name)] = _whole(value, f"{group}.{name}") if isinstance(default, int) else float(value)
+    return RefinementSettings(**values)
+
+
+def _whole(value: float, key: str) -> int:
+    if value != int(value):
+        raise ConfigError(f"{key} is {value}; it must be a whole number.")
+    return int(value)
+
+
+def loop_settings(config: Mapping[str, Any], parts: Parts) -> LoopSettings:
+    """Make the settings of the loop.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+    from prgbd.loop.self_improving import LoopSettings
+
+    cache = config["sensing"].get("cache")
+    images = number(config, "evaluation.depth_images", optional=True)
+    return LoopSettings(
+        max_loops=_whole(number({"task": {"max_loops": 0} | config["task"]}, "task.max_loops"), "task.max_loops"),
+        min_improvement=float(number({"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement")),
+        baseline=parts.baseline,
+        baseline_percentile=float(number(config, "sensing.baseline_percentile")),
+        batch_size=batch_size(config),
+        cache=None if cache is None else Path(cache),
+        depth_images=None if images is None else _whole(images, "evaluation.depth_images"),
+        depth_cap=float(number(config, "evaluation.depth_cap")),
+        depth_crop=str(config["evaluation"]["depth_crop"]),
+        alignment=str(config["evaluation"]["alignment"]),
+        seed=int(config["seed"]),
+    )
+
+
+def batch_size(config: Mapping[str, Any]) -> int | None:
+    """Return the sensor's batch size, None for auto."""
+    if config["sensing"].get("batch_size") in (None, "auto"):
+        return None
+    size = _whole(number(config, "sensing.batch_size"), "sensing.batch_size")
+    if size < 1:
+        raise ConfigError(f"sensing.batch_size is {size}; it must be at least 1.")
+    return size
+
+
+def identity(config: Mapping[str, Any], parts: Parts) -> RunIdentity:
+    """Return what the run is about."""
+    from prgbd.loop.summary import RunIdentity
+
+    ids = parts.ids
+    return RunIdentity(config["task"]["name"], ids["slam"], ids["depth"], ids["data"], int(config["seed"]))
+
+
+def device(config: Mapping[str, Any]) -> torch.device:
+    """Return where the network predicts: on the GPU if the trainer works there.
+
+    Raises:
+        ConfigError: If a GPU is asked for and there is none.
+    """
+    import torch
+
+    accelerator = str(config["trainer"].get("accelerator", "cpu"))
+    if accelerator in ("gpu", "cuda"):
+        if not torch.cuda.is_available():
+            raise ConfigError("trainer=gpu needs a CUDA device and PyTorch sees none; use trainer=cpu.")
+        return torch.device("cuda")
+    if accelerator == "auto" and torch.cuda.is_available():
+        return torch.device("cuda")
+    return torch.device("cpu")
+
+
+def logger_maker(config: Mapping[str, Any]) -> Callable[[Path], Any] | None:
+    """Return what makes a Lightning logger for a folder; None where ``losses.csv`` is enough.
+
+    Raises:
+        ConfigError: If the logger is unknown or its package is missing.
+    """
+    name = config["logger"].get("name", "csv")
+    if name == "csv":
+        return None
+    if name != "tensorboard":
+        raise ConfigError(f"There is no logger '{name}'; choose csv or tensorboard.")
+    if importlib.util.find_spec("tensorboard") is None:
+        raise ConfigError("logger=tensorboard needs tensorboard; pip install 'prgbd[tensorboard]'.")
+
+    def make(folder: Path) -> Any:
+        from lightning.pytorch.loggers import TensorBoardLogger
+
+        return TensorBoardLogger(save_dir=str(folder), name="tensorboard", version="")
+
+    return make

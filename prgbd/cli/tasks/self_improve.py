@@ -1,0 +1,29 @@
+"""``task=self_improve``: the self-improving loop."""
+
+from __future__ import annotations
+
+from prgbd.cli import settings
+from prgbd.cli.job import Job
+from prgbd.cli.tasks.reporting import report
+from prgbd.loop.refining import Refiner
+from prgbd.loop.self_improving import SelfImprovingLoop
+
+
+def run(job: Job) -> None:
+    """Run the loop and write its report."""
+    parts, config = job.parts, job.config
+    assert parts.estimator is not None
+    assert parts.make_slam is not None
+    refiner = Refiner(settings.refinement_settings(config), dict(config["trainer"]), settings.logger_maker(config))
+    loop = SelfImprovingLoop(
+        parts.estimator.to(settings.device(config)),
+        parts.make_slam,
+        parts.sequences,
+        refiner,
+        settings.loop_settings(config, parts),
+        job.store,
+        settings.identity(config, parts),
+        test_sequences=parts.test_sequences,
+        monitor=job.display,
+    )
+    report(job, loop.run())

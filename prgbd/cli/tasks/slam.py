@@ -1,0 +1,71 @@
+"""``task=slam``: one SLAM run per sequence, on the network's depth, the sensor's depth, or none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from prgbd.cli import settings
+from prgbd.cli.job import Job
+from prgbd.cli.tasks.reporting import report
+from prgbd.core.data import Sequence
+from prgbd.core.export import write_slam_folder
+from prgbd.loop.self_improving import SelfImprovingLoop, step_name
+from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
+from prgbd.loop.summary import write_summary, write_truth
+
+NAMES = {"mono": "RGB", "rgbd": "RGB-D"}
+
+
+def run(job: Job) -> None:
+    """Run SLAM on every sequence and write the report."""
+    report(job, _on_pseudo_depth(job) if job.parts.mode == "pseudo_rgbd" else _on_recording(job))
+
+
+def _on_pseudo_depth(job: Job) -> dict[str, Any]:
+    """The self-improving loop without a refinement."""
+    parts, config = job.parts, job.config
+    assert parts.estimator is not None
+    assert parts.make_slam is not None
+    loop = SelfImprovingLoop(
+        parts.estimator.to(settings.device(config)),
+        parts.make_slam,
+        [*parts.sequences, *parts.test_sequences],
+        None,
+        replace(settings.loop_settings(config, parts), max_loops=0),
+        job.store,
+        settings.identity(config, parts),
+        monitor=job.display,
+    )
+    return loop.run()
+
+
+def _on_recording(job: Job) -> dict[str, Any]:
+    sequences = [*job.parts.sequences, *job.parts.test_sequences]
+    job.store.step("truth", lambda: write_truth(job.store, sequences))
+    pose: dict[str, Any] = {}
+    for sequence in sequences:
+        pose[sequence.name] = job.store.step(step_name(0, "slam", sequence.name), partial(_localise, job, sequence))
+        job.display.say("  " + describe_pose(sequence.name, pose[sequence.name]))
+    entry = {
+        "loop": 0,
+        "name": NAMES[job.parts.mode],
+        "pose": pose,
+        "depth": None,
+        "training": None,
+        "baseline": {name: figures["baseline"] for name, figures in pose.items()},
+        "depth_max": {},
+    }
+    seconds = sum(figures["seconds"] or 0.0 for figures in pose.values())
+    return write_summary(job.store, settings.identity(job.config, job.parts), sequences, [entry], seconds=seconds)
+
+
+def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
+    parts = job.parts
+    assert parts.make_slam is not None
+    given = sensor_input(sequence, parts.mode, parts.baseline)
+    result = run_slam(parts.make_slam, sequence, given, seed=int(job.config["seed"]), monitor=job.display)
+    with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
+        write_slam_folder(result, folder)
+    return pose_figures(result, sequence, str(job.config["evaluation"]["alignment"]))

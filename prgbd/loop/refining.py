@@ -1,0 +1,108 @@
+"""One depth refinement as a step of the loop: what it is given, what it leaves in the run's folder."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.callbacks import Callback
+
+from prgbd.core.data import Sequence
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import SlamError
+from prgbd.core.files import atomic_path
+from prgbd.core.types import SlamResult
+from prgbd.loop.monitor import Monitor, Progress
+from prgbd.loop.store import RunStore
+from prgbd.training.refinement import refine
+from prgbd.training.refinement_settings import TERMS, RefinementSettings
+
+
+class TrainingProgress(Callback):
+    """Tells a ``Progress`` of every training step."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def on_train_batch_end(self, trainer: Any, pl_module: Any, outputs: Any, batch: Any, batch_idx: int) -> None:
+        """Count the keyframes of a step."""
+        self._progress.advance(len(batch[0]), loss=f"{float(outputs['loss']):.4f}")
+
+
+class Refiner:
+    """Refines the network within a run.
+
+    Args:
+        settings: Options of the refinement.
+        trainer_options: Options of ``lightning.Trainer``.
+        make_logger: Makes a Lightning logger for a folder, or None for none but ``losses.csv``.
+    """
+
+    def __init__(
+        self,
+        settings: RefinementSettings,
+        trainer_options: Mapping[str, Any] | None = None,
+        make_logger: Callable[[Path], Any] | None = None,
+    ) -> None:
+        self.settings = settings
+        self.trainer_options = dict(trainer_options or {})
+        self.make_logger = make_logger
+
+    def refine(
+        self,
+        estimator: DepthEstimator,
+        supervised: list[tuple[Sequence, SlamResult]],
+        store: RunStore,
+        loop: int,
+        monitor: Monitor,
+    ) -> dict[str, Any] | None:
+        """Fine-tune the network in place; leave ``training/losses.csv`` and ``weights/`` in the loop's folder.
+
+        Args:
+            estimator: The network, with the weights that SLAM ran with.
+            supervised: Recordings and what SLAM made of them.
+            store: The run.
+            loop: Number of the loop.
+            monitor: Who watches.
+
+        Returns:
+            The figures of the training, or None if SLAM's output holds nothing to learn from.
+        """
+        folder = store.loop(loop, "training")
+        keyframes = sum(len(result.keyframes) for _, result in supervised)
+        options = {**self.trainer_options, "enable_progress_bar": False}
+        logger = self.make_logger(folder) if self.make_logger is not None else None
+        try:
+            with monitor.stage("Refinement", keyframes * self.settings.epochs) as progress:
+                options["callbacks"] = [TrainingProgress(progress)]
+                outcome = refine(estimator, supervised, self.settings, folder, options, logger)
+        except SlamError as error:
+            monitor.say(f"  {error}")
+            return None
+        write_losses(outcome.losses, folder / "losses.csv")
+        with store.new_folder(store.loop(loop, "weights")) as weights:
+            estimator.save_weights(weights)
+        return {
+            "held_out_before": outcome.held_out_before,
+            "held_out_after": outcome.held_out_after,
+            "samples": outcome.samples,
+            "train_samples": outcome.train_samples,
+            "held_out_samples": outcome.held_out_samples,
+            "keyframes": outcome.keyframes,
+            "skipped": outcome.skipped,
+            "points_per_sample": outcome.points_per_sample,
+            "seconds": outcome.seconds,
+        }
+
+
+def write_losses(rows: list[dict[str, Any]], path: Path) -> None:
+    """Write the losses of the training steps: ``step,epoch,total`` and a column per term, empty where not computed."""
+    columns = ("step", "epoch", "total", *TERMS)
+    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for row in rows:
+            if row.get("split", "train") == "train":
+                writer.writerow([row.get(column, "") for column in columns])

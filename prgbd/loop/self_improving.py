@@ -1,0 +1,292 @@
+"""``SelfImprovingLoop``: SLAM on the network's depth, the network refined on SLAM's output, and again."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from prgbd.core.data import Sequence
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import ConfigError
+from prgbd.core.export import load_slam_result, write_slam_folder
+from prgbd.core.slam import GeometricSLAM
+from prgbd.core.types import SlamResult
+from prgbd.loop.depth_figures import depth_figures, write_samples
+from prgbd.loop.monitor import Monitor, SilentMonitor
+from prgbd.loop.refining import Refiner
+from prgbd.loop.sensing import DepthSensor, weights_fingerprint
+from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
+from prgbd.loop.store import RunStore
+from prgbd.loop.summary import RunIdentity, write_summary, write_truth
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Options of the loop.
+
+    Attributes:
+        max_loops: Refinements of the network at most.
+        min_improvement: The held-out loss must drop by more than this fraction, or the loop stops.
+        baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
+        baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
+        batch_size: Frames per forward pass of the sensor; None chooses by device.
+        cache: Folder for predicted depth that several runs share; None keeps it in the run until it is used.
+        depth_images: At most this many images per sequence are evaluated; None for all.
+        depth_cap: Metres.
+        depth_crop: ``none``, ``garg`` or ``eigen``.
+        alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
+        seed: Seed of everything random.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+
+    max_loops: int = 3
+    min_improvement: float = 0.0
+    baseline: float | None = None
+    baseline_percentile: float = 100.0
+    batch_size: int | None = None
+    cache: Path | None = None
+    depth_images: int | None = 100
+    depth_cap: float = 80.0
+    depth_crop: str = "none"
+    alignment: str = "sim3"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.max_loops, bool) or not isinstance(self.max_loops, int) or self.max_loops < 0:
+            raise ConfigError(f"task.max_loops is {self.max_loops}; it must be a whole number, 0 or more.")
+        if not 0 <= self.min_improvement < 1:
+            raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
+        if not 0 < self.baseline_percentile <= 100:
+            raise ConfigError(
+                f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
+            )
+        if not self.depth_cap > 0:
+            raise ConfigError(f"evaluation.depth_cap is {self.depth_cap}; it must be positive (metres).")
+
+
+class SelfImprovingLoop:
+    """Alternates pose refinement (RGB-D SLAM on pseudo depth) and depth refinement until nothing improves.
+
+    Loop 0 is the paper's pRGBD-Initial; the last one is pRGBD-Refined. Every step is remembered by the store, so a
+    loop that is made again on the same store goes on where it stopped.
+
+    Args:
+        estimator: The network, with its weights; it ends with the best ones.
+        make_slam: Makes a SLAM system that supports mode ``rgbd``.
+        sequences: Recordings to learn from, each with its own camera.
+        refiner: Refines the network on SLAM's output; None where there is no refinement (``max_loops`` 0).
+        settings: Options.
+        store: Remembers the run.
+        identity: What the run is about, for the summary.
+        test_sequences: Recordings that are sensed and evaluated in every loop but not learnt from.
+        monitor: Who watches.
+    """
+
+    def __init__(
+        self,
+        estimator: DepthEstimator,
+        make_slam: Callable[[], GeometricSLAM],
+        sequences: list[Sequence],
+        refiner: Refiner | None,
+        settings: LoopSettings,
+        store: RunStore,
+        identity: RunIdentity,
+        *,
+        test_sequences: list[Sequence] | None = None,
+        monitor: Monitor | None = None,
+    ) -> None:
+        self.estimator = estimator
+        self.make_slam = make_slam
+        self.sequences = sequences
+        self.test_sequences = test_sequences or []
+        self.refiner = refiner
+        self.settings = settings
+        self.store = store
+        self.identity = identity
+        self.monitor = monitor or SilentMonitor()
+
+    @property
+    def all_sequences(self) -> list[Sequence]:
+        """Recordings to learn from and test recordings."""
+        return [*self.sequences, *self.test_sequences]
+
+    def run(self) -> dict[str, Any]:
+        """Run until there is no improvement.
+
+        Returns:
+            The summary, as in ``summary.json``.
+
+        Raises:
+            PrgbdError: If something the user can mend is wrong; the finished steps are kept.
+        """
+        self._check_weights()
+        self.store.step("truth", lambda: write_truth(self.store, self.all_sequences))
+        loops: list[dict[str, Any]] = []
+        stop: dict[str, Any] = {"reason": None, "best_loop": 0}
+        if self.settings.max_loops:
+            stop["reason"] = f"The {self.settings.max_loops} refinements that task.max_loops allows were made."
+        for loop in range(self.settings.max_loops + 1):
+            self.monitor.say(f"Loop {loop}: {loop_name(loop)}")
+            entry = self._sense_and_localise(loop)
+            loops.append(entry)
+            stop["best_loop"] = loop
+            write_summary(self.store, self.identity, self.all_sequences, loops)
+            if loop == self.settings.max_loops:
+                break
+            entry["training"], reason = self._refine(loop)
+            if reason:
+                stop["reason"] = reason
+                break
+        if stop["reason"]:
+            self.monitor.say(f"Stop: {stop['reason']}")
+        self._keep_best()
+        return write_summary(
+            self.store, self.identity, self.all_sequences, loops, stop=stop, seconds=sum(e["seconds"] for e in loops)
+        )
+
+    def _check_weights(self) -> None:
+        """Refuse to go on with a run whose first weights were other ones."""
+        found = weights_fingerprint(self.estimator)
+        began_with = self.store.step("weights", lambda: found)
+        if began_with != found:
+            raise ConfigError(
+                "The run began with other weights of the depth network than depth.weights holds now; put the old ones "
+                "back, or start a new run."
+            )
+
+    def _sense_and_localise(self, loop: int) -> dict[str, Any]:
+        """Depth and SLAM of every sequence, and both evaluated: one entry of the summary's ``loops``."""
+        began = time.perf_counter()
+        sensors = [self._sensor(loop, sequence) for sequence in self.all_sequences]
+        pose: dict[str, Any] = {}
+        sensed: dict[str, Any] = {}
+        for sensor in sensors:
+            name = sensor.sequence.name
+            sensed[name] = self.store.step(step_name(loop, "sense", name), partial(self._sense, sensor))
+            pose[name] = self.store.step(step_name(loop, "slam", name), partial(self._localise, loop, sensor))
+            self.monitor.say("  " + describe_pose(name, pose[name]))
+        depth = self.store.step(step_name(loop, "depth"), lambda: self._evaluate_depth(loop, sensors))
+        if depth and depth["images"]:
+            self.monitor.say(describe_depth(depth))
+        seconds = self.store.step(step_name(loop, "seconds"), lambda: time.perf_counter() - began)
+        if self.settings.cache is None:
+            for sensor in sensors:
+                sensor.forget()
+        return {
+            "loop": loop,
+            "name": loop_name(loop),
+            "pose": pose,
+            "depth": depth,
+            "training": None,
+            "baseline": {name: figures["baseline"] for name, figures in sensed.items()},
+            "depth_max": {name: figures["depth_max"] for name, figures in sensed.items()},
+            "seconds": seconds,
+        }
+
+    def _sensor(self, loop: int, sequence: Sequence) -> DepthSensor:
+        return DepthSensor(
+            self.estimator,
+            sequence,
+            self.settings.cache or self.store.path("cache"),
+            name=self.identity.depth,
+            percentile=self.settings.baseline_percentile,
+            batch_size=self.settings.batch_size,
+            monitor=self.monitor,
+        )
+
+    def _sense(self, sensor: DepthSensor) -> dict[str, Any]:
+        statistics = sensor.prepare()
+        baseline = self.settings.baseline or statistics.adaptive_baseline
+        return {"baseline": baseline, **statistics.diagnostics()}
+
+    def _localise(self, loop: int, sensor: DepthSensor) -> dict[str, Any]:
+        sequence = sensor.sequence
+        statistics = sensor.prepare()
+        baseline = self.settings.baseline or statistics.adaptive_baseline
+        given = SlamInput(sensor, "rgbd", baseline, statistics)
+        result = run_slam(self.make_slam, sequence, given, seed=self.settings.seed, monitor=self.monitor)
+        with self.store.new_folder(self.store.loop(loop, "slam", sequence.name)) as folder:
+            write_slam_folder(result, folder)
+        return pose_figures(result, sequence, self.settings.alignment)
+
+    def _evaluate_depth(self, loop: int, sensors: list[DepthSensor]) -> dict[str, Any] | None:
+        """Depth figures on the test recordings if there are any, else on all; and pictures of all."""
+        write_samples(sensors, self.store.loop(loop, "depth", "samples.npz"))
+        tested = sensors[len(self.sequences) :] or sensors
+        settings = self.settings
+        return depth_figures(tested, images=settings.depth_images, cap=settings.depth_cap, crop=settings.depth_crop)
+
+    def _refine(self, loop: int) -> tuple[dict[str, Any] | None, str]:
+        """Refine the network on SLAM's output of this loop; return the figures and why to stop, "" to go on."""
+        weights = self.store.loop(loop, "weights")
+
+        def work() -> dict[str, Any] | None:
+            assert self.refiner is not None
+            supervised = [(sequence, self._result(loop, sequence)) for sequence in self.sequences]
+            return self.refiner.refine(self.estimator, supervised, self.store, loop, self.monitor)
+
+        resumed = self.store.is_done(step_name(loop, "refine"))
+        unrefined = {name: value.clone() for name, value in self.estimator.state_dict().items()}
+        training = self.store.step(step_name(loop, "refine"), work)
+        if training is None:
+            return None, "No keyframe of SLAM had neighbours on both sides, so there was nothing to learn from."
+        before, after = training["held_out_before"], training["held_out_after"]
+        reason = stop_reason(before, after, self.settings.min_improvement)
+        if before is not None and after is not None:
+            self.monitor.say(f"  refined on {training['samples']} keyframes: held-out loss {before:.5f} -> {after:.5f}")
+        if reason:
+            self.estimator.load_state_dict(unrefined)
+        elif resumed:
+            self.estimator.load_weights(weights)
+        return training, reason
+
+    def _result(self, loop: int, sequence: Sequence) -> SlamResult:
+        return load_slam_result(self.store.loop(loop, "slam", sequence.name, "result.npz"))
+
+    def _keep_best(self) -> None:
+        def work() -> None:
+            with self.store.new_folder(self.store.path("weights")) as folder:
+                self.estimator.save_weights(folder)
+
+        self.store.step("best_weights", work)
+
+
+def loop_name(loop: int) -> str:
+    """Return the paper's name of a loop."""
+    return "pRGBD-Initial" if loop == 0 else f"pRGBD-Refined ({loop})" if loop > 1 else "pRGBD-Refined"
+
+
+def describe_depth(figures: Mapping[str, Any]) -> str:
+    """Return one line about depth figures."""
+    return f"  depth: Abs Rel {figures['abs_rel']:.4f}, a1 {figures['a1']:.3f} ({figures['images']} images)"
+
+
+def step_name(loop: int, *parts: str) -> str:
+    """Return the name of a step of a loop in the store."""
+    return "/".join(("loops", f"{loop:02d}", *parts))
+
+
+def stop_reason(before: float | None, after: float | None, min_improvement: float) -> str:
+    """Return why the loop should stop after a refinement, "" to go on; no label is needed to decide.
+
+    Args:
+        before: Loss on held-out keyframes with the weights that SLAM ran with.
+        after: The same with the refined weights.
+        min_improvement: Fraction by which the loss must drop.
+    """
+    if before is None or after is None or not math.isfinite(before) or not math.isfinite(after):
+        return "The held-out loss was not finite after the refinement, so the weights from before are kept."
+    if before - after > min_improvement * abs(before):
+        return ""
+    drop = 100 * (before - after) / max(abs(before), 1e-12)
+    return (
+        f"No improvement: refinement changed the held-out loss from {before:.5f} to {after:.5f} ({drop:.2f} % lower, "
+        f"{100 * min_improvement:g} % asked for), so the weights from before are kept."
+    )

@@ -1,0 +1,134 @@
+"""One SLAM run over one sequence: frames in, ``SlamResult`` and its files out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from prgbd.core.data import Sequence
+from prgbd.core.errors import DataError
+from prgbd.core.slam import GeometricSLAM, TrackingState
+from prgbd.core.types import Frame, SlamResult
+from prgbd.evaluation.trajectory import evaluate_trajectory
+from prgbd.loop.monitor import Monitor, SilentMonitor
+from prgbd.loop.sensing import DepthStatistics
+
+# ORB-SLAM2's settings for the Kinect of TUM RGB-D: bf = 40 at f = 525 px (Examples/RGB-D/TUM1.yaml).
+KINECT_BASELINE = 0.08
+
+
+@dataclass(frozen=True)
+class SlamInput:
+    """What SLAM is given for one sequence.
+
+    Attributes:
+        frames: The frames in order, with depth unless ``mode`` is ``mono``.
+        mode: A mode of ``GeometricSLAM``.
+        baseline: Metres, or None for ``mono``.
+        statistics: What the pseudo depth looks like, or None for a sensor's depth.
+    """
+
+    frames: Iterable[Frame]
+    mode: str
+    baseline: float | None = None
+    statistics: DepthStatistics | None = None
+
+
+def sensor_input(sequence: Sequence, mode: str, baseline: float | None) -> SlamInput:
+    """Make the input of SLAM from the recording alone.
+
+    Args:
+        sequence: The recording.
+        mode: ``rgbd`` for the depth of its own sensor, or ``mono``.
+        baseline: Metres that the user fixed; None takes the recording's own, else the Kinect's 0.08 m.
+
+    Raises:
+        DataError: If ``rgbd`` is asked of a recording without depth.
+    """
+    frames = (sequence.frame(index) for index in range(len(sequence)))
+    if mode == "mono":
+        return SlamInput((frame.with_depth(None) for frame in frames), mode)
+    if sequence.frame(0).depth is None:
+        raise DataError(
+            f"The sequence '{sequence.name}' has no depth sensor, which slam.mode=rgbd needs; use slam.mode=mono, or "
+            "slam.mode=pseudo_rgbd with depth=ID."
+        )
+    return SlamInput(frames, mode, baseline or sequence.baseline or KINECT_BASELINE)
+
+
+def run_slam(
+    make_slam: Callable[[], GeometricSLAM],
+    sequence: Sequence,
+    given: SlamInput,
+    *,
+    seed: int = 0,
+    monitor: Monitor | None = None,
+) -> SlamResult:
+    """Run a SLAM system over a sequence.
+
+    Args:
+        make_slam: Makes the system; it is closed at the end.
+        sequence: The recording, for its camera and frame rate.
+        given: Frames, mode and baseline.
+        seed: Seed of everything random in the system.
+        monitor: Who watches.
+
+    Returns:
+        The system's result; its ``stats`` also hold ``seconds``, ``fps``, ``baseline`` and the depth's diagnostics.
+    """
+    monitor = monitor or SilentMonitor()
+    keyframes = 0
+    seconds = 0.0
+    with (
+        make_slam() as system,
+        monitor.stage(f"SLAM on {sequence.name}", len(sequence)) as progress,
+    ):
+        system.reset(sequence.camera, given.mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
+        for frame in given.frames:
+            begin = time.perf_counter()
+            tracked = system.track(frame)
+            seconds += time.perf_counter() - begin
+            keyframes += tracked.is_keyframe
+            progress.advance(state=tracked.state.value, keyframes=keyframes, inliers=tracked.inliers)
+        begin = time.perf_counter()
+        result = system.finish()
+        seconds += time.perf_counter() - begin
+    noted: dict[str, Any] = {
+        "seconds": seconds,
+        "fps": len(sequence) / max(seconds, 1e-9),
+        "baseline": given.baseline,
+        "seed": seed,
+    }
+    if given.statistics is not None:
+        noted["pseudo_depth"] = given.statistics.diagnostics()
+    return replace(result, stats={**result.stats, **noted})
+
+
+def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3") -> dict[str, Any]:
+    """Return the figures of one SLAM run for ``summary.json``, with pose errors where there is truth."""
+    figures = evaluate_trajectory(
+        result.trajectory, len(sequence), sequence.poses, sequence.timestamps, alignment=alignment
+    )
+    return {
+        **figures,
+        "mode": result.mode,
+        "fps": result.stats.get("fps"),
+        "seconds": result.stats.get("seconds"),
+        "keyframes": len(result.keyframes),
+        "points": len(result.points),
+        "lost_frames": sum(str(state) == TrackingState.LOST.value for state in result.states),
+        "baseline": result.stats.get("baseline"),
+    }
+
+
+def describe_pose(name: str, figures: Mapping[str, Any]) -> str:
+    """Return one line about a SLAM run."""
+    parts = [f"{name}: {figures['tracked_frames']}/{figures['frames']} frames tracked"]
+    if figures.get("ate_rmse") is not None:
+        parts.append(f"ATE {figures['ate_rmse']:.3f} m ({figures['alignment']}, {figures['pairs']} poses)")
+    parts.append(f"{figures['keyframes']} keyframes, {figures['points']} points")
+    if figures.get("fps"):
+        parts.append(f"{figures['fps']:.1f} fps")
+    return ", ".join(parts)

@@ -1,0 +1,105 @@
+"""``summary.json`` and what is written from it."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+from prgbd.core.data import Sequence
+from prgbd.core.export import write_tum
+from prgbd.core.files import write_json
+from prgbd.core.types import Trajectory
+from prgbd.loop.store import SUMMARY, RunStore
+
+SCHEMA = 1
+_PACKAGES = ("torch", "lightning", "numpy", "opencv-python-headless", "gtsam", "numba", "evo", "hydra-core")
+
+
+@dataclass(frozen=True)
+class RunIdentity:
+    """What a run is about, for the head of its summary.
+
+    Attributes:
+        task: Name of the task.
+        slam: Id of the SLAM plug-in, "" for none.
+        depth: Id of the depth plug-in, "" for none.
+        data: Id of the data plug-in.
+        seed: Seed of everything random.
+    """
+
+    task: str
+    slam: str
+    depth: str
+    data: str
+    seed: int
+
+
+def write_summary(
+    store: RunStore,
+    identity: RunIdentity,
+    sequences: list[Sequence],
+    loops: list[dict[str, Any]],
+    *,
+    stop: Mapping[str, Any] | None = None,
+    seconds: float | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Write ``summary.json`` (schema: docs/summary-schema.md) and return it.
+
+    Args:
+        store: The run.
+        identity: What the run is about.
+        sequences: All recordings, test recordings included.
+        loops: One entry per SLAM run over the sequences, first to last.
+        stop: Why the loop ended and which loop was best.
+        seconds: Time that the steps of the run took.
+        more: Further entries of the task.
+    """
+    import prgbd
+
+    summary = {
+        "schema": SCHEMA,
+        "prgbd": prgbd.__version__,
+        "task": identity.task,
+        "slam": identity.slam,
+        "depth": identity.depth,
+        "data": identity.data,
+        "sequences": [sequence.name for sequence in sequences],
+        "seed": identity.seed,
+        "loops": loops,
+        "stop": dict(stop) if stop is not None else None,
+        "versions": versions(),
+        "seconds": seconds,
+        **(more or {}),
+    }
+    write_json(store.path(SUMMARY), summary)
+    return summary
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def write_truth(store: RunStore, sequences: list[Sequence]) -> None:
+    """Write the true trajectory of every recording that has one, ``truth/SEQ.tum``."""
+    import numpy as np
+
+    for sequence in sequences:
+        poses = sequence.poses
+        if poses is None:
+            continue
+        known = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+        write_tum(
+            Trajectory(known.astype(np.int64), sequence.timestamps[known], poses[known]),
+            store.path("truth", f"{sequence.name}.tum"),
+        )
