@@ -116,7 +116,7 @@ def _graph(problem: BundleProblem, wTc: FloatArray, robust: bool) -> gtsam.Nonli
     """Return reprojection factors, tight priors on fixed poses and weak ones on points that one view cannot place."""
     fx, fy, cx, cy, bf = problem.camera.tolist()
     mono_camera = gtsam.Cal3_S2(fx, fy, 0.0, cx, cy)
-    stereo_camera = gtsam.Cal3_S2Stereo(fx, fy, 0.0, cx, cy, bf / fx) if bf > 0 else None
+    stereo_camera = gtsam.Cal3_S2Stereo(fx, fy, 0.0, cx, cy, max(bf, 0.0) / fx)
     count = len(problem.poses)
     graph = gtsam.NonlinearFactorGraph()
     noises: dict[tuple[float, bool], gtsam.noiseModel.Base] = {}

@@ -1,0 +1,164 @@
+"""Pose graph optimisation: spread what a loop closure found out over the trajectory."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from prgbd.core.errors import ContractError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+# Standard deviation (radians, units of the map, log of scale) of what holds the graph in place.
+_TIGHT = 1e-6
+# Probability with which a true loop edge must pass for one.
+_INLIER_PROBABILITY = 0.99
+
+
+def optimise_pose_graph(
+    wTc: FloatArray,
+    edges_i: IntArray,
+    edges_j: IntArray,
+    iTj: FloatArray,
+    sigmas: FloatArray,
+    *,
+    robust: BoolArray | None = None,
+    fixed: int = 0,
+    scales: FloatArray | None = None,
+    iterations: int = 50,
+) -> tuple[FloatArray, FloatArray]:
+    """Find the poses that agree best with relative poses, in SE(3), or in Sim(3) where scale drifts.
+
+    Edges marked robust are weighed by graduated non-convexity with truncated least squares (Yang et al., "Graduated
+    Non-Convexity for Robust Spatial Perception", RA-L 2020): unlike a fixed kernel, it lets a true loop pull a
+    far-drifted trajectory together and yet drops a false one. For that their sigmas must be honest.
+
+    Args:
+        wTc: (K, 4, 4) first guess.
+        edges_i: (E,) first pose of every edge.
+        edges_j: (E,) second pose.
+        iTj: (E, 4, 4) measured pose of j seen from i, in the units of i.
+        sigmas: Standard deviations (E,), or (E, 6) as three rotations in radians and three translations, or (E, 7)
+            with the log of scale for Sim(3); or information matrices (E, 6, 6) or (E, 7, 7) in that order.
+        robust: (E,) bool, edges that may be wrong; none by default.
+        fixed: The pose that stays.
+        scales: (E,) measured scale: a point p of camera j lies at ``scale * R p + t`` in camera i. None for SE(3).
+        iterations: Most Levenberg-Marquardt iterations (of each weighting, where there are robust edges).
+
+    Returns:
+        The poses (K, 4, 4) and scales (K,), the scale of ``fixed`` being 1. A point p of camera k lies at
+        ``scale[k] * R p + t`` in the world, so a point of the old map moves by ``wSc_new @ inverse(wTc_old)``. Scales
+        are 1 without ``scales``. Poses that no edge joins to ``fixed`` keep their place as a whole.
+
+    Raises:
+        ContractError: If columns have different lengths, are not finite, or an edge joins poses that do not exist.
+    """
+    poses = np.array(wTc, np.float64)
+    first, second = np.asarray(edges_i, np.int64), np.asarray(edges_j, np.int64)
+    measured, spread = np.asarray(iTj, np.float64), np.asarray(sigmas, np.float64)
+    ratio = None if scales is None else np.asarray(scales, np.float64)
+    _check(poses, first, second, measured, spread, ratio, fixed)
+    if len(first) == 0 or len(poses) < 2:
+        return poses, np.ones(len(poses))
+    graph = gtsam.NonlinearFactorGraph()
+    for e, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        noise = _noise(spread[e], 6 if ratio is None else 7)
+        if ratio is None:
+            graph.add(gtsam.BetweenFactorPose3(i, j, gtsam.Pose3(measured[e]), noise))
+        else:
+            graph.add(gtsam.BetweenFactorSimilarity3(i, j, _similarity(measured[e], float(ratio[e])), noise))
+    values = gtsam.Values()
+    for k, pose in enumerate(poses):
+        values.insert(k, gtsam.Pose3(pose) if ratio is None else _similarity(pose, 1.0))
+    for k in _anchors(first, second, len(poses), fixed):
+        tight = gtsam.noiseModel.Isotropic.Sigma(6 if ratio is None else 7, _TIGHT)
+        if ratio is None:
+            graph.add(gtsam.PriorFactorPose3(k, values.atPose3(k), tight))
+        else:
+            graph.add(gtsam.PriorFactorSimilarity3(k, values.atSimilarity3(k), tight))
+    doubtful = np.zeros(len(first), np.bool_) if robust is None else np.asarray(robust, np.bool_)
+    solved = _solve(graph, values, np.flatnonzero(doubtful), iterations)
+    return _read(solved, poses, fixed, similar=ratio is not None)
+
+
+def _check(
+    poses: FloatArray,
+    first: IntArray,
+    second: IntArray,
+    measured: FloatArray,
+    spread: FloatArray,
+    ratio: FloatArray | None,
+    fixed: int,
+) -> None:
+    count = len(first)
+    columns = [second, measured, spread] + ([] if ratio is None else [ratio])
+    if any(len(column) != count for column in columns):
+        raise ContractError("A pose graph was given columns of different lengths; they need one row per edge.")
+    if count and (min(first.min(), second.min()) < 0 or max(first.max(), second.max()) >= len(poses)):
+        raise ContractError("A pose graph was given an edge between poses that do not exist.")
+    if len(poses) and not 0 <= fixed < len(poses):
+        raise ContractError(f"A pose graph was told to hold pose {fixed}, but it has {len(poses)} poses.")
+    finite = all(np.isfinite(column).all() for column in (poses, *columns))
+    if not finite or (ratio is not None and not np.all(ratio > 0)):
+        raise ContractError("A pose graph was given poses, sigmas or scales that are not finite or not positive.")
+
+
+def _noise(spread: FloatArray, dimension: int) -> gtsam.noiseModel.Base:
+    if spread.ndim == 2:
+        return gtsam.noiseModel.Gaussian.Information(spread)
+    return gtsam.noiseModel.Diagonal.Sigmas(np.broadcast_to(spread, (dimension,)).copy())
+
+
+def _similarity(pose: FloatArray, scale: float) -> gtsam.Similarity3:
+    """Return ``p -> scale * R p + t``; GTSAM means ``scale * (R p + t)`` by the same three."""
+    return gtsam.Similarity3(gtsam.Rot3(pose[:3, :3]), pose[:3, 3] / scale, scale)
+
+
+def _anchors(first: IntArray, second: IntArray, count: int, fixed: int) -> list[int]:
+    """Return one pose of every connected part of the graph: ``fixed``, and the lowest of each part without it."""
+    joined = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    _, part = connected_components(joined, directed=False)
+    lowest = np.unique(part, return_index=True)[1]
+    return [fixed] + [int(k) for k in lowest if part[k] != part[fixed]]
+
+
+def _solve(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, doubtful: IntArray, iterations: int
+) -> gtsam.Values:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(iterations)
+    parameters.setOrderingType("COLAMD")
+    parameters.setLinearSolverType("MULTIFRONTAL_CHOLESKY")
+    if len(doubtful) == 0:
+        return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    graduated = gtsam.GncLMParams(parameters)
+    graduated.setLossType(gtsam.GncLossType.TLS)
+    # The linear schedule drops true loops together with false ones far more often.
+    graduated.setScheduler(gtsam.GncScheduler.SuperLinear)
+    graduated.setKnownInliers(np.setdiff1d(np.arange(graph.size()), doubtful).tolist())
+    optimizer = gtsam.GncLMOptimizer(graph, values, graduated)
+    optimizer.setInlierCostThresholdsAtProbability(_INLIER_PROBABILITY)
+    return optimizer.optimize()
+
+
+def _read(solved: gtsam.Values, poses: FloatArray, fixed: int, *, similar: bool) -> tuple[FloatArray, FloatArray]:
+    """Return poses and scales, or the first guess if the solution is not finite."""
+    result, scale = poses.copy(), np.ones(len(poses))
+    for k in range(len(poses)):
+        if k == fixed:
+            continue
+        if similar:
+            value = solved.atSimilarity3(k)
+            scale[k] = value.scale()
+            result[k, :3, :3] = value.rotation().matrix()
+            result[k, :3, 3] = value.translation() * scale[k]
+        else:
+            result[k] = solved.atPose3(k).matrix()
+    if np.isfinite(result).all() and np.isfinite(scale).all() and np.all(scale > 0):
+        return result, scale
+    return poses, np.ones(len(poses))
