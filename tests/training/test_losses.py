@@ -13,14 +13,15 @@ from .test_warping import GOLDEN, HEIGHT, WIDTH, wave
 
 def test_photometric_error_has_the_published_figures():
     golden = GOLDEN["photometric"]
-    # In float32 like the figures: SSIM's variances are small differences, and its rounding shows in single pixels.
+    # SSIM's variances are small differences: the float32 of the figures is off by 1e-5 in the mean and by up to 1e-3 in
+    # single pixels against float64.
     a, b = wave().float(), wave(3, -2).float()
     error = losses.photometric_error(a, b)
-    assert losses.ssim(a, b).mean().item() == pytest.approx(golden["ssim_mean"], rel=1e-5)
+    assert losses.ssim(a, b).mean().item() == pytest.approx(golden["ssim_mean"], rel=2e-5)
     assert (a - b).abs().mean().item() == pytest.approx(golden["l1_mean"], rel=1e-5)
-    assert error.mean().item() == pytest.approx(golden["pe_mean"], rel=1e-5)
-    assert error[0, 0, 10, 20].item() == pytest.approx(golden["pe[0,0,10,20]"], rel=2e-5)
-    assert error[0, 0, 100, 600].item() == pytest.approx(golden["pe[0,0,100,600]"], rel=2e-5)
+    assert error.mean().item() == pytest.approx(golden["pe_mean"], rel=2e-5)
+    assert error[0, 0, 10, 20].item() == pytest.approx(golden["pe[0,0,10,20]"], rel=1e-3)
+    assert error[0, 0, 100, 600].item() == pytest.approx(golden["pe[0,0,100,600]"], rel=1e-3)
 
 
 def test_smoothness_has_the_published_figure():
@@ -135,3 +136,12 @@ def test_mixed_precision_computes_the_terms_in_float32(moving_view):
     assert loss.dtype == torch.float32
     assert smooth.dtype == torch.float32
     assert loss.item() < 2e-3
+
+
+def test_the_window_mean_and_its_gradient_are_those_of_average_pooling():
+    x = torch.rand(2, 3, 7, 9, dtype=torch.float64, requires_grad=True)
+    weights = torch.rand(2, 3, 5, 7, dtype=torch.float64)
+    ours, theirs = losses._pool(x), F.avg_pool2d(x, 3, stride=1)
+    assert torch.allclose(ours, theirs)
+    gradients = [torch.autograd.grad((weights * y).sum(), x)[0] for y in (ours, theirs)]
+    assert torch.allclose(*gradients)
