@@ -1,0 +1,58 @@
+"""``python -m prgbd.report DIR...``: rebuild the report of a run, or join the runs below a folder into one table."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from prgbd.core.errors import PrgbdError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit code (2 for input that cannot work)."""
+    parser = argparse.ArgumentParser(
+        prog="python -m prgbd.report",
+        description="Rebuild report.html and metrics.csv of a run, or join the runs below a folder into one table.",
+    )
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="a run, or a folder of runs")
+    from rich.console import Console
+
+    console, errors = Console(), Console(stderr=True)
+    code = 0
+    for folder in parser.parse_args(arguments).folders:
+        try:
+            report(folder, console)
+        except PrgbdError as error:
+            errors.print(str(error), markup=False, highlight=False, soft_wrap=True)
+            code = 2
+    return code
+
+
+def report(folder: Path, console: object) -> None:
+    """Report on one folder.
+
+    Raises:
+        DataError: If the folder is neither a run nor a folder of runs.
+    """
+    from rich.console import Console
+
+    from prgbd.report import ablation, tables
+    from prgbd.report.page import write_report
+    from prgbd.report.reading import open_run
+
+    assert isinstance(console, Console)
+    if (folder / "summary.json").is_file():
+        run = open_run(folder)
+        tables.print_summary(run.summary, console)
+        tables.write_metrics_csv(run.summary, folder / "metrics.csv")
+        written = [write_report(folder)]
+    else:
+        written = list(ablation.join(folder))
+        console.print(tables.to_rich(ablation.ablation_table(folder), console.width))
+    for path in written:
+        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,171 @@
+"""One table out of several runs: which option led to which error."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from prgbd.core.errors import DataError
+from prgbd.core.files import atomic_path
+from prgbd.report import tables
+from prgbd.report.paper import published_ablation
+from prgbd.report.reading import Run, mean_pose, open_run, sum_pose
+from prgbd.report.tables import Cell, Column, Table
+from prgbd.report.words import depth_basis
+
+# Options that differ between runs without being what was varied.
+NOT_VARIED = re.compile(r"(^|\.)(hydra|output|output_dir|run_dir|folder|resume|job_num|job)(\.|$)")
+
+
+def find_runs(folder: Path | str) -> list[Path]:
+    """Return the run folders at most three levels below ``folder``, in natural order (2 before 10).
+
+    A folder with a ``config.yaml`` but no ``summary.json`` is a run that did not finish, and is returned as well.
+    """
+    folder = Path(folder)
+    found = {
+        p.parent
+        for depth in ("*", "*/*", "*/*/*")
+        for name in ("summary.json", "config.yaml")
+        for p in folder.glob(f"{depth}/{name}")
+        if not any(part.startswith(".") for part in p.relative_to(folder).parts)
+    }
+    outermost = [p for p in found if not any(parent in found for parent in p.parents)]
+    return sorted(outermost, key=lambda p: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", str(p))])
+
+
+def join(folder: Path | str) -> tuple[Path, Path, Path]:
+    """Join the runs below a folder into one table and write ``ablation.md``, ``ablation.csv`` and ``ablation.tex``.
+
+    Returns:
+        The three paths.
+
+    Raises:
+        DataError: If there is no run below the folder.
+    """
+    folder = Path(folder)
+    table = ablation_table(folder)
+    paths = folder / "ablation.md", folder / "ablation.csv", folder / "ablation.tex"
+    for path, render in zip(paths, (tables.to_markdown, tables.to_csv, tables.to_latex), strict=True):
+        with atomic_path(path) as temporary:
+            temporary.write_text(render(table), encoding="utf-8")
+    return paths
+
+
+def ablation_table(folder: Path | str) -> Table:
+    """Return the table of the runs below a folder, one row per run, labelled by what was varied.
+
+    Raises:
+        DataError: If there is no run below the folder.
+    """
+    paths = find_runs(folder)
+    if not paths:
+        raise DataError(f"There is no run below {folder}; name the folder of a finished run or of a multirun.")
+    runs: list[Run | None] = []
+    for path in paths:
+        try:
+            runs.append(open_run(path))
+        except DataError:
+            runs.append(None)
+    labels = run_labels(paths)
+    metrics = [
+        Column(tables.DEPTH_TITLES[k], "max" if k in tables.HIGHER_IS_BETTER else "min") for k in tables.DEPTH_TITLES
+    ]
+    pose = [Column("tracked"), Column("ATE first (m)", "min"), Column("ATE last (m)", "min")]
+    paper = [Column("Sq Rel (paper)"), Column("RMSE (paper)")]
+    columns = [Column("run"), Column("loops"), *pose, Column("Abs Rel first", "min"), *metrics, *paper]
+    table = Table("Ablation", columns)
+    for label, run in zip(labels, runs, strict=True):
+        published = published_ablation(label) or (None, None)
+        table.rows.append([label, *(_cells(run.summary) if run else [None] * (len(columns) - 3)), *published])
+    table.note = _note([run for run in runs if run], any(published_ablation(label) for label in labels))
+    unfinished = [label for label, run in zip(labels, runs, strict=True) if run is None]
+    if unfinished:
+        table.note += f" Did not finish: {', '.join(unfinished)}."
+    return table.without_empty_columns()
+
+
+def _cells(summary: Mapping[str, Any]) -> list[Cell]:
+    loops = summary.get("loops") or []
+    if not loops:
+        return [0, None, None, None, None, *[None] * len(tables.DEPTH_TITLES)]
+    first, last = loops[0], loops[-1]
+    frames = sum_pose(last, "frames")
+    tracked = f"{sum_pose(last, 'tracked_frames') or 0}/{frames}" if frames else None
+    depths = [d for d in (loop.get("depth") for loop in loops) if d and d.get("images")]
+    before, after = (depths[0], depths[-1]) if depths else ({}, {})
+    return [
+        len(loops) - 1,
+        tracked,
+        mean_pose(first, "ate_rmse"),
+        mean_pose(last, "ate_rmse"),
+        before.get("abs_rel"),
+        *[after.get(k) for k in tables.DEPTH_TITLES],
+    ]
+
+
+def _note(runs: list[Run], with_paper: bool) -> str:
+    kinds = {
+        str(pose.get("alignment")) for run in runs for loop in run.loops for pose in (loop.get("pose") or {}).values()
+    }
+    protocols = {
+        depth_basis(loop["depth"]).removeprefix("Abs Rel, ")
+        for run in runs
+        for loop in run.loops
+        if (loop.get("depth") or {}).get("images")
+    }
+    parts = ["First: before any refinement; last: after the last loop."]
+    if kinds:
+        parts.append(f"ATE RMSE, alignment {' and '.join(sorted(kinds))}, mean over sequences.")
+    if protocols:
+        parts.append(f"Depth after the last loop: {'; '.join(sorted(protocols))}.")
+    if with_paper:
+        parts.append("Paper: KITTI Eigen after the first loop; other data, so compare the order of the rows.")
+    return " ".join(parts)
+
+
+def run_labels(paths: list[Path]) -> list[str]:
+    """Name each run by what differs: its command-line overrides, else its configuration, else its folder."""
+    for read in (_overrides, _configuration):
+        options = [read(path) for path in paths]
+        if not any(options):
+            continue
+        varied = [k for k in dict.fromkeys(k for o in options for k in o) if len({o.get(k) for o in options}) > 1]
+        varied = [k for k in varied if not NOT_VARIED.search(k)]
+        labels = [", ".join(f"{k}={o[k]}" for k in varied if k in o) for o in options]
+        if all(labels) and len(set(labels)) == len(labels):
+            return labels
+    return [path.name for path in paths]
+
+
+def _overrides(path: Path) -> dict[str, str]:
+    """Return the overrides that Hydra noted for a job."""
+    items = _yaml(path / ".hydra" / "overrides.yaml")
+    if not isinstance(items, list):
+        return {}
+    pairs = [str(item).lstrip("+~").split("=", 1) for item in items]
+    return {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
+
+
+def _configuration(path: Path) -> dict[str, str]:
+    config = _yaml(path / "config.yaml")
+    return dict(_flat("", config)) if isinstance(config, dict) else {}
+
+
+def _flat(prefix: str, config: dict[Any, Any]) -> list[tuple[str, str]]:
+    out: list[tuple[str, str]] = []
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        out += _flat(name + ".", value) if isinstance(value, dict) and value else [(name, str(value))]
+    return out
+
+
+def _yaml(path: Path) -> Any:
+    from omegaconf import OmegaConf
+
+    try:
+        return OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except Exception:  # a label is no reason to lose a table, and the YAML parsers have many exceptions
+        return None

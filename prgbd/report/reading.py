@@ -1,0 +1,175 @@
+"""Reading a run folder (docs/summary-schema.md). Every part but ``summary.json`` may be absent."""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.errors import DataError
+from prgbd.core.export import load_slam_result, read_tum
+from prgbd.core.files import read_json
+from prgbd.core.types import SlamResult, Trajectory
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class DepthSamples:
+    """A few frames with predicted depth.
+
+    Attributes:
+        images: (n, H, W, 3) uint8 RGB.
+        depth: (n, H, W) float32 prediction.
+        truth: (n, H, W) float32 metres with 0 for unknown, or None.
+        keys: Sequence name and frame number of each.
+    """
+
+    images: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    truth: NDArray[np.float32] | None
+    keys: list[tuple[str, int]]
+
+
+@dataclass
+class Run:
+    """A run folder; parts are read when asked for, and what is there but unreadable is noted in ``problems``."""
+
+    path: Path
+    summary: dict[str, Any]
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def loops(self) -> list[dict[str, Any]]:
+        """The entries of ``summary.json``'s ``loops``."""
+        return list(self.summary.get("loops") or [])
+
+    @property
+    def sequences(self) -> list[str]:
+        """Names of the sequences: those of the summary, and any that only the loops know."""
+        names = list(self.summary.get("sequences") or [])
+        for loop in self.loops:
+            names += [n for n in (loop.get("pose") or {}) if n not in names]
+        return [str(n) for n in names]
+
+    def folder(self, loop: dict[str, Any]) -> Path:
+        """Return the folder of a loop."""
+        return self.path / "loops" / f"{int(loop.get('loop', 0)):02d}"
+
+    def result(self, loop: dict[str, Any], sequence: str) -> SlamResult | None:
+        """Return what SLAM found out about a sequence in a loop."""
+        return self._read(self.folder(loop) / "slam" / sequence / "result.npz", load_slam_result)
+
+    def truth(self, sequence: str) -> Trajectory | None:
+        """Return the true poses of a sequence."""
+        return self._read(self.path / "truth" / f"{sequence}.tum", read_tum)
+
+    def samples(self, loop: dict[str, Any]) -> DepthSamples | None:
+        """Return the depth samples of a loop."""
+        return self._read(self.folder(loop) / "depth" / "samples.npz", read_samples)
+
+    def losses(self, loop: dict[str, Any]) -> dict[str, NDArray[np.float64]] | None:
+        """Return the columns of a loop's ``losses.csv``."""
+        return self._read(self.folder(loop) / "training" / "losses.csv", read_losses)
+
+    def text(self, name: str) -> str | None:
+        """Return the text of a file of the folder."""
+        return self._read(self.path / name, lambda path: path.read_text(encoding="utf-8", errors="replace"))
+
+    def _read(self, path: Path, reader: Callable[[Path], T]) -> T | None:
+        if not path.is_file():
+            return None
+        try:
+            return reader(path)
+        except (DataError, OSError) as error:
+            self.problems.append(str(error))
+            return None
+
+
+def open_run(path: Path | str) -> Run:
+    """Open a run folder.
+
+    Raises:
+        DataError: If there is no readable ``summary.json``.
+    """
+    path = Path(path)
+    if not (path / "summary.json").is_file():
+        raise DataError(f"{path} is no run folder: it has no summary.json; name the folder of a finished run.")
+    summary = read_json(path / "summary.json")
+    if not isinstance(summary, dict) or not isinstance(summary.get("loops") or [], list):
+        raise DataError(f"{path / 'summary.json'} is not a run summary; see docs/summary-schema.md.")
+    return Run(path, summary)
+
+
+def read_samples(path: Path) -> DepthSamples:
+    """Read ``samples.npz``.
+
+    Raises:
+        DataError: If the file is truncated or lacks an array.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        depth = arrays["depth"].astype(np.float32)
+        frames = arrays.get("frame_index", np.arange(len(depth)))
+        names = np.atleast_1d(arrays.get("sequence", np.array([""])))
+        names = names if len(names) == len(depth) else np.repeat(names[:1], len(depth))
+        keys = [(str(name), int(frame)) for name, frame in zip(names, frames, strict=True)]
+        truth = arrays.get("truth")
+        if truth is not None and truth.shape != depth.shape:
+            truth = None
+        return DepthSamples(arrays["images"], depth, truth, keys)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise DataError(f"{path} is not a whole set of depth samples ({type(error).__name__}: {error}).") from error
+
+
+def read_losses(path: Path) -> dict[str, NDArray[np.float64]]:
+    """Read ``losses.csv`` as columns; an empty cell is NaN, and a half-written last line is dropped.
+
+    Raises:
+        DataError: If a cell is not a number.
+    """
+    with open(path, encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    if not rows:
+        return {}
+    header, body = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])]
+    try:
+        table = np.array([[float(cell) if cell else np.nan for cell in row] for row in body], np.float64)
+    except ValueError as error:
+        raise DataError(f"{path} has a cell that is not a number ({error}).") from error
+    return dict(zip(header, table.reshape(-1, len(header)).T, strict=True))
+
+
+def mean_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = None) -> float | None:
+    """Return the mean of a pose figure over the sequences that have it (or over ``sequences``), None without any."""
+    pose = loop.get("pose") or {}
+    names = pose if sequences is None else sequences
+    values = [pose[n][key] for n in names if n in pose and isinstance(pose[n].get(key), int | float)]
+    return float(np.mean(values)) if values else None
+
+
+def sum_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = None) -> int | None:
+    """Return the sum of a pose count over the sequences, None if none has it."""
+    pose = loop.get("pose") or {}
+    names = pose if sequences is None else sequences
+    values = [pose[n][key] for n in names if n in pose and isinstance(pose[n].get(key), int | float)]
+    return int(sum(values)) if values else None
+
+
+def compared_sequences(first: dict[str, Any], last: dict[str, Any]) -> list[str]:
+    """Return the sequences that have an ATE in both loops, so that means of the two compare like with like."""
+    a, b = first.get("pose") or {}, last.get("pose") or {}
+    return [n for n in a if n in b and a[n].get("ate_rmse") is not None and b[n].get("ate_rmse") is not None]
+
+
+def loop_name(loop: dict[str, Any]) -> str:
+    """Return the loop's name, or ``loop k``."""
+    return str(loop.get("name") or f"loop {loop.get('loop', '?')}")

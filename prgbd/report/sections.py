@@ -1,0 +1,237 @@
+"""The sections of the page: each takes a run and returns HTML, or nothing where the run has nothing to show."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.alignment import Alignment, fit_alignment
+from prgbd.core.export import match_times
+from prgbd.core.types import SlamResult, Trajectory
+from prgbd.report import figures, pictures, tables
+from prgbd.report.figures import Path3D, Timeline
+from prgbd.report.reading import Run, loop_name, mean_pose
+from prgbd.report.words import number
+
+MOST_SEQUENCES = 12
+FEWEST_POSES = 3
+
+
+def figure_html(figure: Any, label: str, caption: str, key: str) -> str:
+    """Return a figure element; ``key`` must be unique on the page, ``caption`` is HTML."""
+    svg = figures.inline_svg(figures.to_svg(figure), label, key)
+    return f"<figure>{svg}<figcaption>{caption}</figcaption></figure>"
+
+
+def loops_section(run: Run) -> str:
+    """Return the table of loops and the figures over the loops."""
+    table = tables.loops_table(run.summary)
+    if not table.rows:
+        return ""
+    html = "<h2>Loops</h2>" + tables.to_html(table)
+    if len(run.loops) > 1:
+        panels = _panels(run)
+        if panels:
+            names = [loop_name(loop) for loop in run.loops]
+            order = "; ".join(f"{i}: {escape(n)}" for i, n in enumerate(names))
+            caption = f"Figures over the loops ({order}). Lower is better, except δ&lt;1.25."
+            drawing = figure_html(figures.metrics_figure(panels, names), "metrics by loop", caption, "m-")
+            html += f'<div class="grid">{drawing}</div>'
+    return html
+
+
+def _panels(run: Run) -> list[tuple[str, dict[str, list[float | None]]]]:
+    panels: list[tuple[str, dict[str, list[float | None]]]] = []
+    names = run.sequences[:8]
+    pose = {n: [mean_pose(loop, "ate_rmse", [n]) for loop in run.loops] for n in names}
+    pose = {n: values for n, values in pose.items() if any(v is not None for v in values)}
+    if pose:
+        panels.append(("ATE RMSE (m)", pose))
+    for key, title in (("abs_rel", "Abs Rel"), ("rmse", "depth RMSE (m)"), ("a1", "δ<1.25")):
+        values = [(loop.get("depth") or {}).get(key) for loop in run.loops]
+        if any(v is not None for v in values):
+            panels.append((title, {key: values}))
+    return panels
+
+
+def pose_section(run: Run) -> str:
+    """Return trajectories over truth, errors over time and the tracking of every sequence."""
+    html = ""
+    for number_, name in enumerate(run.sequences[:MOST_SEQUENCES]):
+        found = [(loop, run.result(loop, name)) for loop in run.loops]
+        results = [(loop, result) for loop, result in found if result is not None]
+        if results:
+            html += (
+                f"<h3>{escape(name)}</h3>"
+                + '<div class="grid">'
+                + _sequence(run, name, results, f"s{number_}-")
+                + "</div>"
+            )
+    if not html:
+        return ""
+    if len(run.sequences) > MOST_SEQUENCES:
+        html += f'<p class="note">The first {MOST_SEQUENCES} of {len(run.sequences)} sequences are drawn.</p>'
+    return "<h2>Trajectories and tracking</h2>" + html
+
+
+def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResult]], key: str) -> str:
+    colours = dict(zip((id(loop) for loop in run.loops), figures.loop_colours(len(run.loops)), strict=True))
+    truth = run.truth(name)
+    reference = truth if truth is not None and len(truth) >= FEWEST_POSES else results[0][1].trajectory
+    paths = [Path3D("truth", np.arange(len(truth)), truth.positions)] if truth is not None and len(truth) else []
+    series, points, left_out = [], None, []
+    for loop, result in results:
+        aligned = _align(result.trajectory, reference)
+        label, colour = loop_name(loop), colours[id(loop)]
+        if aligned is None:
+            left_out.append(label)
+            continue
+        transform, rows, errors = aligned
+        ate = ((loop.get("pose") or {}).get(name) or {}).get("ate_rmse")
+        suffix = f", {number(ate)} m" if ate is not None else ""
+        paths.append(
+            Path3D(label + suffix, result.trajectory.frame_index, transform.points(result.trajectory.positions), colour)
+        )
+        points = transform.points(result.points.xyz) if len(result.points) else points
+        if reference is truth:
+            series.append((label, colour, result.trajectory.frame_index[rows], errors))
+    html = ""
+    if paths:
+        axes = figures.horizontal_axes(reference.wTc)
+        unit = "m" if reference is truth else "map units"
+        drawing = figures.trajectory_figure(paths, axes, points, unit)
+        html += figure_html(
+            drawing, f"trajectories of {name} from above", _path_caption(truth is not None, left_out), key + "t"
+        )
+    lines = [
+        Timeline(loop_name(loop), list(r.states), r.inliers, r.keyframes.frame_index, colours[id(loop)])
+        for loop, r in results
+    ]
+    caption = "State of every frame; white ticks are keyframes. Below, the matches that agree with each frame's pose."
+    html += figure_html(figures.timeline_figure(lines), f"tracking of {name}", caption, key + "k")
+    if series:
+        caption = (
+            "Distance from the true position after Sim3 alignment, frame by frame; a gap is where there is no pose."
+        )
+        html += figure_html(figures.error_figure(series), f"position errors of {name}", caption, key + "e")
+    return html
+
+
+def _path_caption(with_truth: bool, left_out: list[str]) -> str:
+    if with_truth:
+        text = "Seen from above, Sim3-aligned to the truth. The figure beside each name is its ATE RMSE."
+    else:
+        text = "Seen from above. There is no ground truth, so later loops are Sim3-aligned to the first."
+    return f"{text} Dots: the last loop's map." + (
+        f" Too few poses to draw: {escape(', '.join(left_out))}." if left_out else ""
+    )
+
+
+def _align(
+    estimate: Trajectory, reference: Trajectory
+) -> tuple[Alignment, NDArray[np.int64], NDArray[np.float64]] | None:
+    """Return the Sim3 alignment to the reference, the rows it rests on and their distances; None if too few."""
+    rows, others = match_times(estimate.timestamp, reference.timestamp, 0.02)
+    if len(rows) < FEWEST_POSES:
+        return None
+    x, y = estimate.positions[rows], reference.positions[others]
+    transform = fit_alignment(x, y, "sim3")
+    return transform, rows, np.linalg.norm(transform.points(x) - y, axis=1)
+
+
+def depth_section(run: Run, width: int, most: int) -> str:
+    """Return depth maps before and after beside image and truth, as pictures no wider than ``width`` pixels."""
+    found = [(loop_name(loop), run.samples(loop)) for loop in run.loops]
+    known = [(label, samples) for label, samples in found if samples is not None and len(samples.keys)]
+    chosen = known if len(known) < 2 else [known[0], known[-1]]
+    rows = pictures.depth_rows(chosen, most)
+    if not rows:
+        return ""
+    html = "<h2>Depth</h2>"
+    scaled = (
+        "to the truth" if any(row.truth is not None for row in rows) else "to the first prediction (there is no truth)"
+    )
+    lede = f"Predictions are median-scaled {scaled}; each frame has one colour scale for all its depth maps."
+    html += f'<p class="lede">{lede}</p>'
+    for row in rows:
+        tiles = [_tile(row.image, "image", f"{row.sequence} frame {row.frame}".strip(), width)]
+        if row.truth is not None:
+            tiles.append(_tile(row.truth, "truth", "", width))
+        tiles += [_tile(p.picture, p.label, _abs_rel(p.abs_rel), width) for p in row.predictions]
+        tiles += [
+            _tile(p.error_picture, f"error, {p.label}", "", width)
+            for p in row.predictions
+            if p.error_picture is not None
+        ]
+        html += f'<figure class="frame"><div class="tiles">{"".join(tiles)}</div>{_bars(row)}</figure>'
+    return html
+
+
+def _abs_rel(value: float | None) -> str:
+    return "" if value is None else f"Abs Rel {number(value)}"
+
+
+def _tile(picture: NDArray[np.uint8], name: str, detail: str, width: int) -> str:
+    data = base64.b64encode(pictures.to_jpeg(picture, width)).decode()
+    text = f"<b>{escape(name)}</b>" + (f" {escape(detail)}" if detail else "")
+    return f'<div><img alt="{escape(name, quote=True)}" src="data:image/jpeg;base64,{data}"><p>{text}</p></div>'
+
+
+def _bars(row: pictures.DepthRow) -> str:
+    unit = " m" if row.truth is not None else ""
+
+    def bar(name: str) -> str:
+        return f'<i class="bar" style="background:{pictures.gradient(name)}"></i>'
+
+    html = f"<span>depth {number(row.near)}{unit}{bar(pictures.DEPTH_MAP)}{number(row.far)}{unit}</span>"
+    if row.truth is not None:
+        html += f"<span>relative error 0{bar(pictures.ERROR_MAP)}{pictures.ERROR_LIMIT:.0%} and more</span>"
+        html += "<span>grey: truth unknown</span>"
+    return f'<div class="bars">{html}</div>'
+
+
+def training_section(run: Run) -> str:
+    """Return the loss curves of all loops."""
+    found = [(loop_name(loop), run.losses(loop)) for loop in run.loops]
+    figure = figures.loss_figure([(label, losses) for label, losses in found if losses])
+    if figure is None:
+        return ""
+    caption = "Training loss by term, step by step (thin) and smoothed. A dotted line is where a loop begins."
+    return f'<h2>Training</h2><div class="grid">{figure_html(figure, "training losses", caption, "l-")}</div>'
+
+
+def figures_section(run: Run) -> str:
+    """Return the full tables of pose and depth figures."""
+    parts = [tables.to_html(t) for t in (tables.pose_table(run.summary), tables.depth_table(run.summary)) if t.rows]
+    return "<h2>All figures</h2>" + "".join(parts) if parts else ""
+
+
+def setup_section(run: Run) -> str:
+    """Return configuration, versions and files."""
+    summary = run.summary
+    facts = {"prgbd": summary.get("prgbd"), "seed": summary.get("seed"), **(summary.get("versions") or {})}
+    rows = "".join(f"<dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd>" for k, v in facts.items() if v is not None)
+    html = f"<h2>Set-up and files</h2><details><summary>Versions</summary><dl class=facts>{rows}</dl></details>"
+    config = run.text("config.yaml")
+    if config:
+        html += f"<details><summary>Configuration</summary><pre>{escape(config)}</pre></details>"
+    wanted = [
+        p for p in sorted(run.path.rglob("*")) if p.is_file() and not p.name.startswith(".") and p.name != "report.html"
+    ]
+    relative = [p.relative_to(run.path) for p in wanted]
+    shown = [
+        (p, r) for p, r in zip(wanted, relative, strict=True) if not any(part.startswith(".") for part in r.parts)
+    ][:400]
+    items = "".join(
+        f'<li><a href="{escape(r.as_posix(), quote=True)}">{escape(r.as_posix())}</a> {_size(p.stat().st_size)}</li>'
+        for p, r in shown
+    )
+    return html + (f"<details><summary>Files</summary><ul class=files>{items}</ul></details>" if items else "")
+
+
+def _size(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(1, round(size / 1e3))} kB"

@@ -1,0 +1,346 @@
+"""Tables of a run: one description of the columns, rendered for the terminal, Markdown, CSV, LaTeX and HTML."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from prgbd.core.files import atomic_path
+from prgbd.report.paper import published_depth, published_pose
+from prgbd.report.reading import loop_name, mean_pose, sum_pose
+from prgbd.report.words import ALIGNMENT_WORDS, depth_basis, describe, number
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+Cell = str | float | int | None
+DEPTH_TITLES = {
+    "abs_rel": "Abs Rel",
+    "sq_rel": "Sq Rel",
+    "rmse": "RMSE",
+    "rmse_log": "RMSE log",
+    "a1": "δ<1.25",
+    "a2": "δ<1.25²",
+    "a3": "δ<1.25³",
+}
+HIGHER_IS_BETTER = {"a1", "a2", "a3"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        title: What the heading says, with the unit.
+        best: ``min`` or ``max`` to emphasise the best figure, or empty.
+    """
+
+    title: str
+    best: str = ""
+
+
+@dataclass
+class Table:
+    """Rows of cells under columns; numbers stay numbers until they are rendered.
+
+    Attributes:
+        title: What the table shows.
+        columns: The columns.
+        rows: One list of cells per row, as long as ``columns``.
+        note: What the figures rest on.
+        contenders: How many of the first rows compete for the emphasis (all by default; published rows do not).
+    """
+
+    title: str
+    columns: list[Column]
+    rows: list[list[Cell]] = field(default_factory=list)
+    note: str = ""
+    contenders: int | None = None
+
+    def best(self, column: int) -> float | None:
+        """Return the best figure of a column, None if it has no order, or nothing to choose from."""
+        rule = self.columns[column].best
+        values = [float(c) for row in self.rows[: self.contenders] if isinstance(c := row[column], int | float)]
+        if not rule or len(set(values)) < 2:
+            return None
+        return min(values) if rule == "min" else max(values)
+
+    def texts(self) -> list[list[tuple[str, bool]]]:
+        """Return every cell's text and whether it is the best of its column."""
+        best = [self.best(i) for i in range(len(self.columns))]
+        contenders = len(self.rows) if self.contenders is None else self.contenders
+        return [
+            [(cell_text(c), r < contenders and c is not None and c == best[i]) for i, c in enumerate(row)]
+            for r, row in enumerate(self.rows)
+        ]
+
+    def without_empty_columns(self) -> Table:
+        """Return the table without the columns that have nothing in any row."""
+        keep = [i for i in range(len(self.columns)) if any(row[i] not in (None, "") for row in self.rows)]
+        rows = [[row[i] for i in keep] for row in self.rows]
+        return Table(self.title, [self.columns[i] for i in keep], rows, self.note, self.contenders)
+
+
+def cell_text(cell: Cell) -> str:
+    """Render a cell: words as they are, counts in full, figures with three significant digits, a dash for None."""
+    if isinstance(cell, str):
+        return cell
+    return f"{cell:,}" if isinstance(cell, int) else number(cell)
+
+
+def to_markdown(table: Table) -> str:
+    """Render as a Markdown table with its note below."""
+
+    def line(cells: list[str]) -> str:
+        return "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"
+
+    lines = [f"**{table.title}**", "", line([c.title for c in table.columns])]
+    lines.append(line(["---"] + ["---:"] * (len(table.columns) - 1)))
+    lines += [line([f"**{t}**" if bold else t for t, bold in row]) for row in table.texts()]
+    return "\n".join([*lines, *(["", table.note] if table.note else []), ""])
+
+
+def to_csv(table: Table) -> str:
+    """Render as CSV with the figures in full precision and empty cells for None."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([c.title for c in table.columns])
+    writer.writerows([["" if c is None else c for c in row] for row in table.rows])
+    return buffer.getvalue()
+
+
+_LATEX = {"\\": r"\textbackslash{}", "δ": r"$\delta$", "²": "$^2$", "³": "$^3$", "→": r"$\to$", "–": "--", "−": "$-$",
+          "<": "$<$", ">": "$>$", "^": r"\^{}", "~": r"\~{}", **{c: "\\" + c for c in "&%$#_{}"}}  # fmt: skip
+
+
+def to_latex(table: Table) -> str:
+    """Render as a LaTeX ``table`` with booktabs rules."""
+
+    def tex(text: str) -> str:
+        return "".join(_LATEX.get(c, c) for c in text)
+
+    lines = [
+        "% needs \\usepackage{booktabs}",
+        "\\begin{table}",
+        "  \\centering",
+        f"  \\caption{{{tex(table.title)}. {tex(table.note)}}}",
+        f"  \\begin{{tabular}}{{l{'r' * (len(table.columns) - 1)}}}",
+        "    \\toprule",
+        "    " + " & ".join(tex(c.title) for c in table.columns) + r" \\",
+        "    \\midrule",
+    ]
+    for row in table.texts():
+        lines.append("    " + " & ".join(f"\\textbf{{{tex(t)}}}" if b else tex(t) for t, b in row) + r" \\")
+    return "\n".join([*lines, "    \\bottomrule", "  \\end{tabular}", "\\end{table}", ""])
+
+
+def to_html(table: Table) -> str:
+    """Render as an HTML table that scrolls sideways where the screen is narrow."""
+    head = "".join(f'<th scope="col">{escape(c.title)}</th>' for c in table.columns)
+    body = ""
+    for row in table.texts():
+        cells = [f"<b>{escape(t)}</b>" if bold else escape(t) for t, bold in row]
+        body += f'<tr><th scope="row">{cells[0]}</th>' + "".join(f"<td>{c}</td>" for c in cells[1:]) + "</tr>"
+    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    return (
+        f'<div class="scroll"><table><caption>{escape(table.title)}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{note}"
+    )
+
+
+def transposed(table: Table) -> list[list[tuple[str, bool]]]:
+    """Return headings and cells with rows and columns exchanged; the first row holds the names of the rows."""
+    texts = table.texts()
+    rows = [[(c.title, False), *(row[i] for row in texts)] for i, c in enumerate(table.columns)]
+    return rows
+
+
+def to_rich(table: Table, width: int | None = None) -> RichTable:
+    """Render for the terminal; a table wider than ``width`` characters is turned on its side."""
+    from rich.console import Console
+
+    upright = _rich(table, [[(c.title, False) for c in table.columns], *table.texts()])
+    if width is None or Console(width=10_000).measure(upright).maximum <= width:
+        return upright
+    return _rich(table, transposed(table))
+
+
+def _rich(table: Table, lines: list[list[tuple[str, bool]]]) -> RichTable:
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    out = RichTable(title=table.title, caption=table.note or None, box=box.SIMPLE_HEAD, title_justify="left")
+    out.title_style, out.caption_style, out.caption_justify = "bold", "dim", "left"
+    for i, (title, _) in enumerate(lines[0]):
+        out.add_column(Text(title), justify="right" if i else "left", no_wrap=i == 0, overflow="fold")
+    for row in lines[1:]:
+        out.add_row(*[Text(text, style="bold green" if best else "") for text, best in row])
+    return out
+
+
+def loops_table(summary: dict[str, Any]) -> Table:
+    """Return the table of a run's loops: what each reached (means over sequences) and what it learned from."""
+    low = [("ATE RMSE (m)", "min"), ("RPE (m)", "min"), ("Abs Rel", "min"), ("RMSE (m)", "min"), ("δ<1.25", "max")]
+    titles = [
+        ("loop", ""),
+        ("tracked", ""),
+        *low,
+        ("fps", ""),
+        ("baseline", ""),
+        ("samples", ""),
+        ("held-out loss", ""),
+    ]
+    table = Table("Loops", [Column(t, b) for t, b in titles])
+    loops = summary.get("loops") or []
+    for loop in loops:
+        depth, training = loop.get("depth") or {}, loop.get("training") or {}
+        frames = sum_pose(loop, "frames")
+        baselines = [float(v) for v in (loop.get("baseline") or {}).values() if v is not None]
+        before, after = training.get("held_out_before"), training.get("held_out_after")
+        table.rows.append(
+            [
+                f"{loop.get('loop', '')} {loop_name(loop)}".strip(),
+                f"{sum_pose(loop, 'tracked_frames') or 0}/{frames}" if frames else None,
+                mean_pose(loop, "ate_rmse"),
+                mean_pose(loop, "rpe_translation"),
+                depth.get("abs_rel"),
+                depth.get("rmse"),
+                depth.get("a1"),
+                mean_pose(loop, "fps"),
+                sum(baselines) / len(baselines) if baselines else None,
+                training.get("samples"),
+                f"{number(before)} → {number(after)}" if before is not None and after is not None else None,
+            ]
+        )
+    table.note = _loops_note(loops)
+    return table.without_empty_columns()
+
+
+def _loops_note(loops: list[dict[str, Any]]) -> str:
+    kinds = {p.get("alignment") for loop in loops for p in (loop.get("pose") or {}).values() if p.get("pairs")}
+    names = {n for loop in loops for n in (loop.get("pose") or {})}
+    parts = []
+    if kinds:
+        words = " and ".join(ALIGNMENT_WORDS.get(str(k), str(k)) for k in sorted(kinds, key=str))
+        parts.append(
+            f"Pose errors after {words}" + (f", means of {len(names)} sequences" if len(names) > 1 else "") + "."
+        )
+    depth = next((loop["depth"] for loop in reversed(loops) if (loop.get("depth") or {}).get("images")), None)
+    if depth:
+        parts.append(f"Depth errors: {depth_basis(depth).removeprefix('Abs Rel, ')}.")
+    if any((loop.get("training") or {}).get("held_out_after") is not None for loop in loops):
+        parts.append("Held-out loss: label-free, before → after this loop's refinement.")
+    return " ".join(parts)
+
+
+def pose_table(summary: dict[str, Any]) -> Table:
+    """Return every pose figure by sequence and loop, with the paper's where it has the sequence."""
+    figures = [
+        ("ate_rmse", "ATE RMSE (m)"),
+        ("ate_median", "median (m)"),
+        ("ate_max", "max (m)"),
+        ("rpe_translation", "RPE (m)"),
+        ("rpe_rotation_deg", "RPE (°)"),
+        ("kitti_translation_percent", "Rel Tr (%)"),
+        ("kitti_rotation_deg_per_m", "Rel Rot (°/m)"),
+    ]
+    counts = [("scale", "scale"), ("pairs", "pairs"), ("keyframes", "keyframes"), ("points", "points"), ("fps", "fps")]
+    columns = [Column("sequence, loop"), Column("tracked"), *(Column(t, "min") for _, t in figures)]
+    table = Table("Pose by sequence", [*columns, *(Column(t) for _, t in counts)])
+    published: list[list[Cell]] = []
+    loops = summary.get("loops") or []
+    names = list(dict.fromkeys(n for loop in loops for n in (loop.get("pose") or {})))
+    for name in names:
+        for loop in loops:
+            pose = (loop.get("pose") or {}).get(name)
+            if pose is not None:
+                tracked = f"{pose.get('tracked_frames', 0)}/{pose.get('frames', 0)}"
+                cells = [_plain(pose.get(key)) for key, _ in figures + counts]
+                table.rows.append([f"{name}, {loop_name(loop)}", tracked, *cells])
+        for system, (ate, translation, rotation) in published_pose(summary.get("data"), name).items():
+            tail: list[Cell] = [None, None, None, None, translation, rotation, *[None] * len(counts)]
+            published.append([f"{name}, {system} (paper)", "failed" if ate is None else None, ate, *tail])
+    # Different sequences do not compete with each other, so only a single one gets its best figures emphasised.
+    table.contenders = len(table.rows) if len(names) == 1 else 0
+    table.rows += published
+    table.note = (
+        "ATE: absolute trajectory error after alignment. RPE: error from one frame to the next. Rel Tr and Rel Rot: "
+        "KITTI odometry benchmark over 100–800 m."
+    )
+    return table.without_empty_columns()
+
+
+def depth_table(summary: dict[str, Any]) -> Table:
+    """Return the seven depth metrics by loop, with the paper's where they exist for the data."""
+    keys = list(DEPTH_TITLES)
+    columns = [Column(DEPTH_TITLES[k], "max" if k in HIGHER_IS_BETTER else "min") for k in keys]
+    extra = [Column("images"), Column("scale"), Column("scale spread")]
+    table = Table("Depth", [Column("loop"), *columns, *extra])
+    for loop in summary.get("loops") or []:
+        depth = loop.get("depth") or {}
+        if depth.get("images"):
+            tail = [_plain(depth.get(k)) for k in ("images", "scale_median", "scale_std")]
+            table.rows.append([loop_name(loop), *[_plain(depth.get(k)) for k in keys], *tail])
+            table.note = f"Means over images: {depth_basis(depth).removeprefix('Abs Rel, ')}."
+    table.contenders = len(table.rows)
+    published = published_depth(summary) if table.rows else None
+    if published:
+        table.rows += [[f"{n} (paper)", *values, None, None, None] for n, values in published[1].items()]
+        table.note += f" Paper: {published[0]}, 80 m cap; another set of images, so compare the trend."
+    return table.without_empty_columns()
+
+
+def _plain(value: Any) -> Cell:
+    return value if isinstance(value, str | int | float) and not isinstance(value, bool) else None
+
+
+def print_summary(summary: dict[str, Any], console: Console) -> None:
+    """Print the tables of a run and its summary in words."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    makers: tuple[Callable[[dict[str, Any]], Table], ...] = (loops_table, depth_table)
+    if len({n for loop in summary.get("loops") or [] for n in (loop.get("pose") or {})}) > 1:
+        makers = (loops_table, pose_table, depth_table)
+    for make in makers:
+        table = make(summary)
+        if table.rows:
+            console.print(to_rich(table, console.width))
+    for sentence in describe(summary):
+        console.print(Padding(Text(sentence), (0, 1)))
+
+
+def metrics_rows(summary: dict[str, Any]) -> list[list[Cell]]:
+    """Return every figure of a summary as ``[loop, name, kind, sequence, metric, value]``."""
+    rows: list[list[Cell]] = []
+    for loop in summary.get("loops") or []:
+        head: list[Cell] = [int(loop.get("loop", 0)), loop_name(loop)]
+        for sequence, figures in (loop.get("pose") or {}).items():
+            rows += [[*head, "pose", sequence, k, _text(v)] for k, v in figures.items() if v is not None]
+        for kind in ("depth", "training"):
+            rows += [[*head, kind, "", k, _text(v)] for k, v in (loop.get(kind) or {}).items() if _fits(v)]
+        for kind in ("baseline", "depth_max"):
+            rows += [[*head, "sensing", s, kind, v] for s, v in (loop.get(kind) or {}).items() if v is not None]
+    return rows
+
+
+def _fits(value: Any) -> bool:
+    return value is not None and not (isinstance(value, list) and value and isinstance(value[0], dict))
+
+
+def _text(value: Any) -> Cell:
+    return " ".join(f"{v:g}" for v in value) if isinstance(value, list | tuple) else value
+
+
+def write_metrics_csv(summary: dict[str, Any], path: Path | str) -> None:
+    """Write every figure of a summary as a long table: ``loop,name,kind,sequence,metric,value``."""
+    columns = [Column(c) for c in ("loop", "name", "kind", "sequence", "metric", "value")]
+    with atomic_path(path) as temporary:
+        temporary.write_text(to_csv(Table("metrics", columns, metrics_rows(summary))), encoding="utf-8")

@@ -1,0 +1,197 @@
+"""What a run achieved, in sentences: better or worse, and what each figure rests on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from prgbd.report.reading import compared_sequences, loop_name, mean_pose, sum_pose
+
+SAME = 0.01  # a change below 1 % is called no change
+ALIGNMENT_WORDS = {"sim3": "Sim3 alignment", "se3": "SE3 alignment", "none": "no alignment"}
+
+
+@dataclass(frozen=True)
+class Change:
+    """A figure before and after the loops.
+
+    Attributes:
+        before: The first loop's value.
+        after: The last loop's value; equal to ``before`` in a run of one loop.
+        basis: What the figure is and rests on, e.g. ``ATE RMSE, Sim3 alignment, 150/150 frames``.
+        unit: ``" m"`` or empty.
+    """
+
+    before: float
+    after: float
+    basis: str
+    unit: str = ""
+
+    @property
+    def relative(self) -> float:
+        """Change in proportion to the value before; negative is better, as all figures here are errors."""
+        return (self.after - self.before) / self.before if self.before else float(self.after != self.before)
+
+    @property
+    def verdict(self) -> str:
+        """``better``, ``worse`` or ``same``."""
+        return "same" if abs(self.relative) < SAME else "better" if self.relative < 0 else "worse"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Format a figure with so many significant digits; a dash for None."""
+    if value is None:
+        return "–"
+    size = abs(value)
+    if size == 0:
+        return "0"
+    if size < 1e-4:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:,.{max(0, digits - 1 - math.floor(math.log10(size)))}f}"
+
+
+def frames_text(loop: dict[str, Any], sequences: list[str]) -> str:
+    """Return ``tracked/all`` frames of some sequences."""
+    return f"{sum_pose(loop, 'tracked_frames', sequences) or 0}/{sum_pose(loop, 'frames', sequences) or 0}"
+
+
+def pose_change(summary: dict[str, Any]) -> Change | None:
+    """Return the change of the mean ATE RMSE over the sequences that have one in the first and the last loop."""
+    loops = summary.get("loops") or []
+    if not loops:
+        return None
+    first, last = loops[0], loops[-1]
+    names = compared_sequences(first, last)
+    before, after = mean_pose(first, "ate_rmse", names), mean_pose(last, "ate_rmse", names)
+    if before is None or after is None:
+        return None
+    kinds = {first["pose"][n].get("alignment") for n in names} | {last["pose"][n].get("alignment") for n in names}
+    alignment = " and ".join(ALIGNMENT_WORDS.get(str(k), str(k)) for k in sorted(kinds, key=str))
+    frames = {frames_text(first, names), frames_text(last, names)}
+    if len(frames) == 1:
+        basis = f"{frames.pop()} frames"
+    else:
+        basis = f"{frames_text(first, names)} frames before and {frames_text(last, names)} after"
+    average = f", mean of {len(names)} sequences" if len(names) > 1 else ""
+    return Change(before, after, f"ATE RMSE, {alignment}, {basis}{average}", " m")
+
+
+def depth_change(summary: dict[str, Any]) -> Change | None:
+    """Return the change of Abs Rel between the first and the last loop that have depth figures."""
+    loops = [d for d in (loop.get("depth") for loop in summary.get("loops") or []) if d]
+    loops = [d for d in loops if d.get("abs_rel") is not None]
+    if not loops:
+        return None
+    return Change(float(loops[0]["abs_rel"]), float(loops[-1]["abs_rel"]), depth_basis(loops[-1]))
+
+
+def depth_basis(depth: dict[str, Any]) -> str:
+    """Return the protocol of depth figures in words."""
+    parts = ["Abs Rel"]
+    if depth.get("cap"):
+        near, far = depth["cap"] if isinstance(depth["cap"], list | tuple) else (0.001, depth["cap"])
+        parts.append(f"{near:g}–{far:g} m cap")
+    if depth.get("crop") not in (None, "none"):
+        parts.append(f"{depth['crop']} crop")
+    parts.append("median scaling" if depth.get("median_scaling", True) else "no median scaling")
+    count = depth.get("images", 0)
+    parts.append(f"{count} image" + "s" * (count != 1))
+    return ", ".join(parts)
+
+
+def describe(summary: dict[str, Any]) -> list[str]:
+    """Return the sentences that sum up a run, honest when something got worse or rests on different frames."""
+    loops = summary.get("loops") or []
+    if not loops:
+        return ["The run has not finished a loop yet."]
+    pose, depth = pose_change(summary), depth_change(summary)
+    sentences = []
+    if len(loops) == 1:
+        sentences += _one_loop(loops[0], pose, depth)
+    else:
+        changes = [_change("pose error", pose), _change("depth error", depth)]
+        told = " and the ".join(text for text in changes if text)
+        rounds = len(loops) - 1
+        if told:
+            sentences.append(f"Over {rounds} loop{'s' * (rounds != 1)} the {told}.")
+        sentences += _caveats(loops)
+        sentences += _better_loop(loops)
+    if pose is None:
+        sentences += _missing_pose(loops)
+    return sentences + _stop(summary)
+
+
+def _change(what: str, change: Change | None) -> str:
+    if change is None:
+        return ""
+    before, after = number(change.before) + change.unit, number(change.after) + change.unit
+    if change.verdict == "same":
+        return f"{what} stayed at {after} ({change.basis})"
+    verb = "fell" if change.verdict == "better" else "rose"
+    return f"{what} {verb} from {before} to {after} ({percent(change.relative)}; {change.basis})"
+
+
+def percent(relative: float) -> str:
+    """Format a relative change as a signed percentage with a true minus sign."""
+    return f"{relative:+.0%}".replace("-", "−")
+
+
+def _one_loop(loop: dict[str, Any], pose: Change | None, depth: Change | None) -> list[str]:
+    sentences = []
+    frames, tracked = sum_pose(loop, "frames"), sum_pose(loop, "tracked_frames")
+    if frames:
+        sentences.append(f"SLAM found a pose for {tracked or 0} of {frames} frames.")
+    if pose:
+        sentences.append(f"The pose error is {number(pose.after)} m ({pose.basis}).")
+    if depth:
+        sentences.append(f"The depth error is {number(depth.after)} ({depth.basis}).")
+    return sentences
+
+
+def _caveats(loops: list[dict[str, Any]]) -> list[str]:
+    first, last = loops[0], loops[-1]
+    names = compared_sequences(first, last)
+    sentences = []
+    if names and frames_text(first, names) != frames_text(last, names):
+        sentences.append("The two pose errors rest on different frames, so compare them with care.")
+    left_out = sorted(set((first.get("pose") or {}) | (last.get("pose") or {})) - set(names))
+    if names and left_out:
+        sentences.append(f"Without an error in both loops, and so not in the mean: {', '.join(left_out)}.")
+    return sentences
+
+
+def _better_loop(loops: list[dict[str, Any]]) -> list[str]:
+    """Name the loop with the lowest error where it is neither the first nor the last."""
+    sentences = []
+    names = compared_sequences(loops[0], loops[-1])
+    poses = [(mean_pose(loop, "ate_rmse", names), loop) for loop in loops if names]
+    depths = [((loop.get("depth") or {}).get("abs_rel"), loop) for loop in loops]
+    for what, unit, found in (("pose error", " m", poses), ("depth error", "", depths)):
+        known = [(value, loop) for value, loop in found if value is not None]
+        if len(known) < 3:
+            continue
+        value, loop = min(known, key=lambda pair: pair[0])
+        if loop not in (loops[0], loops[-1]):
+            sentences.append(f"The lowest {what} was {number(value)}{unit}, in loop {loop.get('loop')}.")
+    return sentences
+
+
+def _missing_pose(loops: list[dict[str, Any]]) -> list[str]:
+    reasons: dict[str, str] = {}
+    for loop in loops:
+        for name, figures in (loop.get("pose") or {}).items():
+            if figures.get("ate_rmse") is None and figures.get("reason"):
+                reasons.setdefault(figures["reason"], f"{loop_name(loop)}, {name}")
+    return [f"No pose error ({where}): {reason}" for reason, where in reasons.items()]
+
+
+def _stop(summary: dict[str, Any]) -> list[str]:
+    stop = summary.get("stop") or {}
+    sentences = []
+    if stop.get("reason"):
+        sentences.append(f"Why it ended: {str(stop['reason']).strip().rstrip('.')}.")
+    best, loops = stop.get("best_loop"), summary.get("loops") or []
+    if best is not None and len(loops) > 1:
+        sentences.append(f"The stop rule, which sees no ground truth, keeps the result of loop {best}.")
+    return sentences
