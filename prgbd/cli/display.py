@@ -42,8 +42,10 @@ class _Bar:
 
     def __init__(self, progress: Progress, task: Any) -> None:
         self._progress, self._task = progress, task
+        self.done = 0
 
     def advance(self, units: int = 1, **fields: Any) -> None:
+        self.done += units
         self._progress.update(self._task, advance=units, note=_noted(fields))
 
 
@@ -52,18 +54,18 @@ class _Lines:
 
     def __init__(self, display: Display, title: str, total: int) -> None:
         self._display, self._title, self._total = display, title, total
-        self._done = 0
+        self.done = 0
         self._begin = self._last = time.monotonic()
 
     def advance(self, units: int = 1, **fields: Any) -> None:
-        self._done += units
+        self.done += units
         now = time.monotonic()
-        if now - self._last > _PLAIN_INTERVAL and self._done < self._total:
+        if now - self._last > _PLAIN_INTERVAL and self.done < self._total:
             self._last = now
-            rate = self._done / (now - self._begin)
-            left = (self._total - self._done) / rate
+            rate = self.done / (now - self._begin)
+            left = (self._total - self.done) / rate
             self._display.say(
-                f"{self._title}: {self._done}/{self._total}, {rate:.1f}/s, {left:.0f} s left {_noted(fields)}".rstrip()
+                f"{self._title}: {self.done}/{self._total}, {rate:.1f}/s, {left:.0f} s left {_noted(fields)}".rstrip()
             )
 
 
@@ -105,11 +107,13 @@ class Display:
                 TextColumn("{task.fields[note]}", style="dim"),
             )
             with Progress(*columns, console=self.console, transient=True) as progress:
-                yield _Bar(progress, progress.add_task(escape(title), total=total, note=""))
+                shown: _Bar | _Lines = _Bar(progress, progress.add_task(escape(title), total=total, note=""))
+                yield shown
         else:
-            yield _Lines(self, title, total)
+            shown = _Lines(self, title, total)
+            yield shown
         seconds = time.monotonic() - begin
-        self.say(f"{title}: {total} in {seconds:.1f} s, {total / max(seconds, 1e-6):.1f}/s")
+        self.say(f"{title}: {shown.done} in {seconds:.1f} s, {shown.done / max(seconds, 1e-6):.1f}/s")
 
 
 def make_console(*, stderr: bool = False) -> Console:

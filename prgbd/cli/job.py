@@ -13,13 +13,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from omegaconf import OmegaConf
+
 from prgbd.cli.display import Display, complain, log_file, quiet
 from prgbd.cli.parts import Parts, make_parts
-from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.cli.settings import check_settings
+from prgbd.core.errors import PrgbdError
+from prgbd.core.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
 
 log = logging.getLogger("prgbd")
-TASKS = ("self_improve", "slam", "depth", "evaluate", "pretrain")
 META = "run"  # the key of config.yaml under which prgbd keeps its own notes
 
 
@@ -49,12 +52,17 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str]) -> None:
     quiet()
     noted = {**config, META: {"version": prgbd.__version__, "started_in": os.getcwd(), "overrides": overrides}}
     try:
+        check_settings(config)
         parts = make_parts(config)
         store = RunStore.create(folder, noted)
     except BaseException:
         _remove_empty(folder)
         raise
-    _run(Job(config, parts, store, make_display(config)))
+    try:
+        _note_overrides(folder, overrides)
+        _run(Job(config, parts, store, make_display(config)))
+    finally:
+        store.close()
 
 
 def resume(folder: Path, changes: Mapping[str, Any]) -> None:
@@ -92,8 +100,6 @@ def make_display(config: Mapping[str, Any]) -> Display:
 
 def _run(job: Job) -> None:
     task = str(job.config["task"]["name"])
-    if task not in TASKS:
-        raise ConfigError(f"There is no task '{task}'; choose {', '.join(TASKS)}.")
     folder = job.store.folder
     work: Callable[[Job], None] = import_module(f"prgbd.cli.tasks.{task}").run
     begin = time.monotonic()
@@ -113,8 +119,13 @@ def _run(job: Job) -> None:
             log.error("prgbd failed\n%s", traceback.format_exc())
             raise
         job.store.finish(DONE)
-        job.store.close()
         job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {shown(folder)}")
+
+
+def _note_overrides(folder: Path, overrides: list[str]) -> None:
+    """Write what the user typed where Hydra would, for the labels of ablation tables and for other people's tools."""
+    with atomic_path(folder / ".hydra" / "overrides.yaml") as temporary:
+        OmegaConf.save(OmegaConf.create(overrides), temporary)
 
 
 def _facts(job: Job) -> dict[str, Any]:

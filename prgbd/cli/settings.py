@@ -6,6 +6,7 @@ import contextlib
 import difflib
 import importlib.util
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,28 @@ if TYPE_CHECKING:
     from prgbd.loop.self_improving import LoopSettings
     from prgbd.loop.summary import RunIdentity
     from prgbd.training.refinement_settings import RefinementSettings
+
+
+TASKS = ("self_improve", "slam", "depth", "evaluate", "pretrain")
+
+
+def check_settings(config: Mapping[str, Any]) -> None:
+    """Read every setting that a run will need, so that a wrong one is found before anything is computed.
+
+    Raises:
+        ConfigError: If an option is unknown or has a value that cannot work.
+    """
+    task = config["task"].get("name")
+    if task not in TASKS:
+        raise ConfigError(f"There is no task '{task}'; choose {', '.join(TASKS)}.")
+    seed = config["seed"]
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ConfigError(f"seed is {seed!r}; it must be a whole number, 0 or more.")
+    loop_settings(config, None)
+    device(config)
+    if task == "self_improve":
+        refinement_settings(config)
+        logger_maker(config)
 
 
 def number(config: Mapping[str, Any], key: str, *, optional: bool = False) -> Any:
@@ -71,8 +94,8 @@ def _whole(value: float, key: str) -> int:
     return int(value)
 
 
-def loop_settings(config: Mapping[str, Any], parts: Parts) -> LoopSettings:
-    """Make the settings of the loop.
+def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSettings:
+    """Make the settings of the loop; ``baseline`` is the virtual baseline that the user fixed, or None.
 
     Raises:
         ConfigError: If a value cannot work.
@@ -80,20 +103,61 @@ def loop_settings(config: Mapping[str, Any], parts: Parts) -> LoopSettings:
     from prgbd.loop.self_improving import LoopSettings
 
     cache = config["sensing"].get("cache")
-    images = number(config, "evaluation.depth_images", optional=True)
+    evaluation = evaluation_options(config)
     return LoopSettings(
         max_loops=_whole(number({"task": {"max_loops": 0} | config["task"]}, "task.max_loops"), "task.max_loops"),
         min_improvement=float(number({"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement")),
-        baseline=parts.baseline,
+        baseline=baseline,
         baseline_percentile=float(number(config, "sensing.baseline_percentile")),
         batch_size=batch_size(config),
         cache=None if cache is None else Path(cache),
+        depth_images=evaluation.depth_images,
+        depth_cap=evaluation.depth_cap,
+        depth_crop=evaluation.depth_crop,
+        alignment=evaluation.alignment,
+        seed=int(config["seed"]),
+    )
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """How depth and trajectories are compared with the truth.
+
+    Attributes:
+        depth_images: At most this many images per sequence; None for all.
+        depth_cap: Metres.
+        depth_crop: ``none``, ``garg`` or ``eigen``.
+        alignment: ``sim3``, ``se3`` or ``none``.
+    """
+
+    depth_images: int | None
+    depth_cap: float
+    depth_crop: str
+    alignment: str
+
+
+def evaluation_options(config: Mapping[str, Any]) -> EvaluationOptions:
+    """Read the options of the evaluation.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+    images = number(config, "evaluation.depth_images", optional=True)
+    options = EvaluationOptions(
         depth_images=None if images is None else _whole(images, "evaluation.depth_images"),
         depth_cap=float(number(config, "evaluation.depth_cap")),
         depth_crop=str(config["evaluation"]["depth_crop"]),
         alignment=str(config["evaluation"]["alignment"]),
-        seed=int(config["seed"]),
     )
+    if options.depth_images is not None and options.depth_images < 1:
+        raise ConfigError(f"evaluation.depth_images is {options.depth_images}; it must be at least 1, or null for all.")
+    for key, value, known in (
+        ("alignment", options.alignment, ("sim3", "se3", "none")),
+        ("depth_crop", options.depth_crop, ("none", "garg", "eigen")),
+    ):
+        if value not in known:
+            raise ConfigError(f"evaluation.{key} is '{value}'; choose {', '.join(known)}.")
+    return options
 
 
 def batch_size(config: Mapping[str, Any]) -> int | None:

@@ -26,14 +26,16 @@ class AblationTable(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the table of all runs that ended."""
-        import prgbd.report.ablation as ablation
+        from prgbd.report import ablation, tables
 
         folder = Path(str(config.hydra.sweep.dir))
         if not any(folder.glob("*/summary.json")):
             return
-        console = make_console()
         try:
-            ablation.join(folder, console=console)
+            paths = ablation.join(folder)
+            console = make_console()
+            console.print(tables.to_rich(ablation.ablation_table(folder)))
+            console.print(f"Table: {', '.join(str(path) for path in paths)}", highlight=False)
         except PrgbdError as error:
             complain(str(error))
 

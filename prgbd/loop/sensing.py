@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Iterator
@@ -146,6 +147,8 @@ class DepthSensor:
         self._inverse = None
         self.path.unlink(missing_ok=True)
         self._statistics_path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # others may have left something there
+            self.path.parent.rmdir()
 
     def _predict_all(self) -> None:
         count = len(self.sequence)

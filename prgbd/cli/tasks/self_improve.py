@@ -20,7 +20,7 @@ def run(job: Job) -> None:
         parts.make_slam,
         parts.sequences,
         refiner,
-        settings.loop_settings(config, parts),
+        settings.loop_settings(config, parts.baseline),
         job.store,
         settings.identity(config, parts),
         test_sequences=parts.test_sequences,

@@ -33,7 +33,7 @@ def _on_pseudo_depth(job: Job) -> dict[str, Any]:
         parts.make_slam,
         [*parts.sequences, *parts.test_sequences],
         None,
-        replace(settings.loop_settings(config, parts), max_loops=0),
+        replace(settings.loop_settings(config, parts.baseline), max_loops=0),
         job.store,
         settings.identity(config, parts),
         monitor=job.display,

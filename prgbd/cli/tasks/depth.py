@@ -1,0 +1,143 @@
+"""``task=depth``: the network's depth of every frame as pictures and numbers."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.cli import settings
+from prgbd.cli.job import Job, shown
+from prgbd.cli.tasks.reporting import report
+from prgbd.core.data import Sequence
+from prgbd.core.errors import ConfigError
+from prgbd.core.files import write_json
+from prgbd.loop.depth_figures import depth_figures, write_samples
+from prgbd.loop.sensing import DepthSensor
+from prgbd.loop.summary import write_summary
+
+_PNG_MAX = 65535
+
+
+def run(job: Job) -> None:
+    """Write the depth of every sequence, and its figures where there is truth."""
+    sequences = [*job.parts.sequences, *job.parts.test_sequences]
+    scale, every = _options(job)
+    sensors = [make_sensor(job, sequence) for sequence in sequences]
+    written = {}
+    for sensor in sensors:
+        name = sensor.sequence.name
+        written[name] = job.store.step(f"depth/{name}", partial(_write_depth, job, sensor, scale, every))
+        job.display.say(f"  {name}: {written[name]['frames']} depth maps in {shown(job.store.path('depth', name))}")
+    summary = evaluate(job, sensors, {"depth_maps": written})
+    report(job, summary)
+
+
+def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
+    """Make the network the depth sensor of a sequence."""
+    assert job.parts.estimator is not None
+    cache = job.config["sensing"].get("cache")
+    return DepthSensor(
+        job.parts.estimator.to(settings.device(job.config)),
+        sequence,
+        job.store.path("cache") if cache is None else Path(cache),
+        name=job.parts.ids["depth"],
+        percentile=float(settings.number(job.config, "sensing.baseline_percentile")),
+        batch_size=settings.batch_size(job.config),
+        monitor=job.display,
+    )
+
+
+def evaluate(job: Job, sensors: list[DepthSensor], more: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Evaluate the predicted depth where there is truth and write the summary."""
+    options = settings.evaluation_options(job.config)
+
+    def work() -> dict[str, Any] | None:
+        write_samples(sensors, job.store.loop(0, "depth", "samples.npz"))
+        return depth_figures(sensors, images=options.depth_images, cap=options.depth_cap, crop=options.depth_crop)
+
+    figures = job.store.step("loops/00/depth", work)
+    statistics = {sensor.sequence.name: sensor.prepare() for sensor in sensors}
+    entry = {
+        "loop": 0,
+        "name": job.parts.ids["depth"],
+        "pose": {},
+        "depth": figures,
+        "training": None,
+        "baseline": {name: found.adaptive_baseline for name, found in statistics.items()},
+        "depth_max": {name: found.depth_max for name, found in statistics.items()},
+    }
+    if job.config["sensing"].get("cache") is None:
+        for sensor in sensors:
+            sensor.forget()
+    sequences = [sensor.sequence for sensor in sensors]
+    return write_summary(job.store, settings.identity(job.config, job.parts), sequences, [entry], more=more)
+
+
+def _options(job: Job) -> tuple[float, int]:
+    task = job.config["task"]
+    scale, every = task.get("png_scale", 256.0), task.get("every", 1)
+    if isinstance(scale, bool) or not isinstance(scale, int | float) or not scale > 0:
+        raise ConfigError(f"task.png_scale is {scale!r}; it must be a positive number.")
+    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+        raise ConfigError(f"task.every is {every!r}; it must be a whole number, 1 or more.")
+    return float(scale), every
+
+
+def _write_depth(job: Job, sensor: DepthSensor, scale: float, every: int) -> dict[str, Any]:
+    """Write ``depth/SEQ/{png,preview,npz}``; return the counts and the scale of the PNG values."""
+    statistics = sensor.prepare()
+    near, far = _preview_range(statistics.median)
+    indices = range(0, len(sensor), every)
+    clipped = 0
+    with job.store.new_folder(job.store.path("depth", sensor.sequence.name)) as folder:
+        with job.display.stage(f"Writing {sensor.sequence.name}", len(indices)) as progress:
+            for index in indices:
+                depth = sensor.depth(index)
+                clipped += write_depth_png(depth, folder / "png" / f"{index:06d}.png", scale)
+                write_preview(depth, folder / "preview" / f"{index:06d}.jpg", near, far)
+                if job.config["task"].get("npz"):
+                    (folder / "npz").mkdir(exist_ok=True)
+                    np.savez_compressed(folder / "npz" / f"{index:06d}.npz", depth=depth)
+                progress.advance()
+        noted = {
+            "frames": len(indices),
+            "png_scale": scale,
+            "unit": "m" if sensor.estimator.metric else "up to scale",
+            "pixels_beyond_png": clipped,
+            "preview_range": [near, far],
+        }
+        write_json(folder / "depth.json", noted)
+    return noted
+
+
+def _preview_range(medians: list[float]) -> tuple[float, float]:
+    """One range of depth for the colours of a whole sequence, so that they do not flicker."""
+    middle = float(np.median(medians))
+    return middle / 4, middle * 4
+
+
+def write_depth_png(depth: NDArray[np.float32], path: Path, scale: float) -> int:
+    """Write depth as a 16-bit PNG of ``depth * scale``, as KITTI does; 0 stands for unknown.
+
+    Returns:
+        The number of pixels too far for 16 bits, written as 65535.
+    """
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values = np.rint(depth * scale)
+    cv2.imwrite(str(path), np.clip(values, 1, _PNG_MAX).astype(np.uint16))
+    return int(np.count_nonzero(values > _PNG_MAX))
+
+
+def write_preview(depth: NDArray[np.float32], path: Path, near: float, far: float) -> None:
+    """Write inverse depth in colours, bright for near."""
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    inverse = (np.log(far) - np.log(np.clip(depth, near, far))) / (np.log(far) - np.log(near))
+    cv2.imwrite(str(path), cv2.applyColorMap((255 * inverse).astype(np.uint8), cv2.COLORMAP_MAGMA))

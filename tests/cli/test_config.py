@@ -1,0 +1,71 @@
+"""The configuration that ships with prgbd."""
+
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from prgbd.cli.arguments import GROUPS, normalise
+from prgbd.cli.hydra_bridge import known_options
+from prgbd.core.registry import KINDS, REGISTRY
+from prgbd.training.refinement_settings import TERMS, RefinementSettings
+
+CONF = Path(str(resources.files("prgbd.conf")))
+
+
+def composed(*arguments):
+    with initialize_config_module("prgbd.conf", version_base="1.3"):
+        return OmegaConf.to_container(compose("prgbd", overrides=normalise(arguments)), resolve=False)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_choice_of_every_group_composes(group):
+    names = [path.stem for path in (CONF / group).glob("*.yaml") if path.stem != "submitit"]
+    assert names
+    for name in names:
+        composed("slam=orb_gtsam", "depth=monodepth2", f"+{group}={name}")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_yaml_of_plugins_names_registered_ids(kind):
+    for path in (CONF / kind).glob("*.yaml"):
+        assert REGISTRY.resolve(kind, OmegaConf.load(path).id).id == path.stem
+
+
+def test_refinement_defaults_are_the_paper_s_and_said_in_full():
+    config = composed()
+    given = {**config["loss"], **config["training"]}
+    defaults = {f.name: f.default for f in fields(RefinementSettings) if f.name != "seed"}
+    assert given == defaults
+    assert {k: config["loss"][k] for k in TERMS} == dict(zip(TERMS, (1.0, 0.001, 1.0, 1.0), strict=True))
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_each_ablation_switches_off_exactly_its_term(term):
+    loss = composed(f"loss=no_{term}")["loss"]
+    assert {name for name, weight in loss.items() if weight == 0} == {term}
+
+
+@pytest.mark.parametrize(
+    ("typed", "names"),
+    [
+        ("[00,01]", ["00", "01"]),
+        ("[09,10]", ["09", "10"]),
+        ("00", ["00"]),
+        ("['00']", ["00"]),
+        ("[a,b-1]", ["a", "b-1"]),
+    ],
+)
+def test_sequence_names_reach_the_data_plugin_as_they_were_typed(typed, names):
+    from prgbd.cli.parts import _names
+
+    assert _names(composed(f"data.sequences={typed}"), "sequences") == names
+
+
+def test_known_options_are_those_of_the_configuration():
+    names = known_options()
+    assert {"seed", "training.learning_rate", "loss.photometric", "task.max_loops", "slam"} <= set(names)
+    assert not any(name.startswith("hydra") for name in names)

@@ -1,0 +1,145 @@
+"""Bad input: one clear sentence that names the file or option, exit code 2, and no half-made run."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.cli.conftest import FAKES
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["slam=ID", "orb_gtsam", "depth=ID", "monodepth2"]),
+        (["task=slam"], ["slam=ID", "orb_gtsam"]),
+        (["task=depth"], ["depth=ID", "monodepth2"]),
+        (["slam=orb_gtsm", "depth=monodepth2"], ["'orb_gtsm'", "'orb_gtsam'"]),
+        (["+slam=orb_gtsam", "+depth=monodepth"], ["'monodepth'", "'monodepth2'"]),
+        (["data=kitti_odomtry"], ["'kitti_odomtry'", "'kitti_odometry'"]),
+        (["loss=no_foto"], ["loss", "'no_foto'", "no_photometric"]),
+        (["tsk=slam"], ["'tsk'", "'task'"]),
+        (["training.lerning_rate=1"], ["training.lerning_rate", "training.learning_rate"]),
+        (["nonsense"], ["'nonsense'", "--help"]),
+        (["--nonsense"], ["--nonsense"]),
+        (["seed="], ["seed"]),
+        (["seed=x", *FAKES], ["seed", "'x'"]),
+        (["depth.weights=a(b"], ["depth.weights=a(b", "quotes"]),
+        (["depth.weights=x", "slam=orb_gtsam"], ["depth.weights", "depth=ID"]),
+        (["data=kitti_odometry", *FAKES[:2]], ["data.root"]),
+        ([*FAKES, "slam.evry=3"], ["'evry'", "'every'"]),
+        ([*FAKES, "slam.mode=stereoo"], ["slam.mode=stereoo", "rgbd"]),
+        ([*FAKES, "slam.mode=mono"], ["slam.mode=mono", "task=slam"]),
+        ([*FAKES, "slam.baseline=-1"], ["slam.baseline=-1"]),
+        ([*FAKES, "task.max_loops=-1"], ["task.max_loops"]),
+        ([*FAKES, "training.epochs=0"], ["training.epochs"]),
+        ([*FAKES, "training.learning_rate=fast"], ["training.learning_rate", "'fast'"]),
+        ([*FAKES, "loss.photometric=-1"], ["loss.photometric"]),
+        ([*FAKES, "evaluation.alignment=sim2"], ["evaluation.alignment", "sim3"]),
+        ([*FAKES, "data.root=/no/such/folder"], ["/no/such/folder", "data.root"]),
+        ([*FAKES, "+data.sequences=[07]"], ["'07'", "'00'"]),
+        ([*FAKES[:1], "depth=test/fussy", "depth.weights=w.pth", FAKES[2]], ["w.pth", "weights"]),
+        (["task=slam", "slam.mode=rgbd", *FAKES], ["wall", "slam.mode=mono"]),
+        (["resume=nowhere"], ["nowhere", "config.yaml"]),
+        (["resume=last"], ["unfinished", "outputs"]),
+        (["-m", "resume=last"], ["multirun"]),
+        (["executor=submitit", *FAKES], ["hydra-submitit-launcher"]),
+        (["trainer=gpu", *FAKES], ["trainer=gpu"]),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_bad_arguments(cli, arguments, words):
+    answer = cli(*arguments, *([] if any("resume" in a for a in arguments) else ["out=run"]))
+    assert answer.code == 2
+    for word in words:
+        assert word in answer.sentence
+    assert not Path("run/summary.json").exists()
+    if "slam.mode=rgbd" not in arguments:
+        assert not Path("run").exists()
+
+
+@pytest.mark.parametrize(("network", "value"), [("nan", "NaN"), ("zero", "zero")])
+def test_spoilt_depth_names_plugin_and_frame_and_keeps_what_was_done(cli, network, value):
+    answer = cli(FAKES[0], f"depth=test/{network}", FAKES[2], "out=run")
+    assert answer.code == 2
+    for word in (f"test/{network}", "frame 2", "wall", value):
+        assert word in answer.sentence
+    assert "resume=run" in answer.err
+    assert Path("run/steps/truth.json").is_file()
+    assert not Path("run/steps/loops").exists()
+    assert not list(Path("run/cache").glob("*"))
+
+
+def test_debug_shows_the_traceback(cli):
+    answer = cli(*FAKES, "slam.baseline=-1", "debug=true")
+    assert answer.code == 2
+    assert "Traceback" in answer.err
+
+
+def images(folder: Path, count: int = 4) -> Path:
+    folder.mkdir()
+    for index in range(count):
+        picture = np.random.default_rng(index).integers(0, 255, (64, 96, 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / f"{index:03d}.png"), picture)
+    return folder
+
+
+def test_empty_folder(cli, tmp_path):
+    (tmp_path / "empty").mkdir()
+    answer = cli(*FAKES[:2], "data=images", "data.root=empty", "data.fov=60", "out=run")
+    assert answer.code == 2
+    assert "empty" in answer.sentence
+    assert not Path("run").exists()
+
+
+def test_truncated_image_keeps_what_was_done(cli, tmp_path):
+    broken = sorted(images(tmp_path / "pictures").iterdir())[2]
+    broken.write_bytes(broken.read_bytes()[:60])
+    answer = cli(*FAKES[:2], "data=images", "data.root=pictures", "data.fov=60", "out=run")
+    assert answer.code == 2
+    assert "002.png" in answer.sentence
+
+
+@pytest.mark.parametrize("content", ["fx: [1", "fx: 0\nfy: 0\ncx: 1\ncy: 1\n", "no camera here"])
+def test_wrong_calibration_file(cli, tmp_path, content):
+    images(tmp_path / "pictures")
+    (tmp_path / "camera.yaml").write_text(content)
+    answer = cli(*FAKES[:2], "data=images", "data.root=pictures", "data.camera=camera.yaml", "out=run")
+    assert answer.code == 2
+    assert "camera" in answer.sentence
+    assert not Path("run").exists()
+
+
+def test_weights_of_the_wrong_network(cli, tmp_path):
+    import prgbd
+
+    prgbd.make_depth("rt_monodepth").save_weights(tmp_path / "weights")
+    answer = cli(FAKES[0], "depth=monodepth2", "depth.weights=weights", FAKES[2], "out=run")
+    assert answer.code == 2
+    assert "weights" in answer.sentence
+    assert not Path("run").exists()
+
+
+def test_a_bug_keeps_its_traceback(cli, monkeypatch):
+    from tests.loop.fakes import Sideways
+
+    def broken(self, frame):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(Sideways, "track", broken)
+    with pytest.raises(ZeroDivisionError):
+        cli(*FAKES, "out=run")
+    assert "ZeroDivisionError" in Path("run/run.log").read_text()
+
+
+def test_ctrl_c_says_how_to_go_on(cli, monkeypatch):
+    from tests.loop.fakes import Sideways
+
+    def stopped(self, frame):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Sideways, "track", stopped)
+    answer = cli(*FAKES, "out=run")
+    assert answer.code == 130
+    assert "resume=run" in answer.sentence
