@@ -1,0 +1,76 @@
+"""What became of every frame, and the result made of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.slam import TrackingState
+from prgbd.core.types import Keyframes, MapPoints, Observations, SlamResult, Trajectory
+from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+
+FloatArray = NDArray[np.float64]
+
+
+class History:
+    """Remembers each frame relative to its reference keyframe, so that it moves with it."""
+
+    def __init__(self) -> None:
+        self.states: list[str] = []
+        self.inliers: list[int] = []
+        self._rows: list[tuple[int, float, int, FloatArray, FloatArray]] = []
+
+    def add(self, state: TrackingState, inliers: int) -> None:
+        """Count a frame."""
+        self.states.append(state.value)
+        self.inliers.append(inliers)
+
+    def place(self, frame_index: int, timestamp: float, reference: int, cTref: FloatArray, wTc: FloatArray) -> None:
+        """Store the pose of a frame relative to keyframe ``reference``, and as it is known now."""
+        self._rows.append((frame_index, timestamp, reference, cTref, wTc))
+
+    def trajectory(self, world: Map) -> Trajectory:
+        """Return the poses of all placed frames, corrected with their keyframes."""
+        if not self._rows:
+            return Trajectory.empty()
+        poses = np.stack([cTref @ world.pose_of(reference) for _, _, reference, cTref, _ in self._rows])
+        return self._trajectory(inverse(poses))
+
+    def online(self) -> Trajectory:
+        """Return the poses as they were known when the frames came."""
+        return self._trajectory(np.stack([row[4] for row in self._rows])) if self._rows else Trajectory.empty()
+
+    def _trajectory(self, wTc: FloatArray) -> Trajectory:
+        return Trajectory(
+            np.array([row[0] for row in self._rows], np.int64), np.array([row[1] for row in self._rows]), wTc
+        )
+
+    def result(self, world: Map, rig: Rig, stats: dict[str, Any]) -> SlamResult:
+        """Return everything in the contract's columns."""
+        kf, pts = world.keyframes, world.points
+        alive = np.flatnonzero(~kf.bad[: kf.count])
+        row_of = np.full(kf.count, -1, np.int64)
+        row_of[alive] = np.arange(len(alive))
+        points = np.flatnonzero(~pts.bad[: pts.count] & (pts.head[: pts.count] >= 0))
+        seen = world.observations(points)
+        order = np.lexsort((seen[:, 1], seen[:, 0]))
+        at, keypoint, point = seen[order].T
+        return SlamResult(
+            camera=rig.camera,
+            mode="mono" if rig.mono else "rgbd",
+            frames=len(self.states),
+            trajectory=self.trajectory(world),
+            keyframes=Keyframes(kf.frame_index[alive], kf.timestamp[alive], inverse(kf.cTw[alive]), kf.map_id[alive]),
+            points=MapPoints(pts.xyz[points], pts.rgb[points]),
+            observations=Observations(
+                row_of[at], np.ascontiguousarray(point), kf.uv[at, keypoint], kf.depth[at, keypoint]
+            ),
+            states=list(self.states),
+            inliers=np.array(self.inliers, np.int32),
+            online=self.online(),
+            stats=stats,
+        )

@@ -1,0 +1,82 @@
+"""The first keyframes of a map: from one frame with depth, or from two frames without."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An earlier frame that the start gave a pose to."""
+
+    frame_index: int
+    timestamp: float
+    reference: int
+    cTw: FloatArray
+
+
+@dataclass(frozen=True)
+class Started:
+    """A new map.
+
+    Attributes:
+        reference: Keyframe made of the present frame.
+        cTw: (4, 4) its pose.
+        points: (N,) int64 point of every keypoint.
+        earlier: Earlier frames that got a pose as well.
+    """
+
+    reference: int
+    cTw: FloatArray
+    points: IntArray
+    earlier: list[Placed] = field(default_factory=list)
+
+
+class Starter(ABC):
+    """Takes frames until a map can be started."""
+
+    def __init__(self, mapper: LocalMapper, least_keypoints: int) -> None:
+        self.mapper = mapper
+        self.least_keypoints = least_keypoints
+        self.origin: FloatArray = np.eye(4)
+
+    def begin_at(self, cTw: FloatArray) -> None:
+        """Start the next map at this pose."""
+        self.origin = cTw
+
+    @abstractmethod
+    def add(self, frame: TrackedFrame) -> Started | None:
+        """Take a frame; return the new map once there is one."""
+
+
+class DepthStarter(Starter):
+    """Starts from one frame with enough keypoints and depth (Tracking::StereoInitialization)."""
+
+    # Fewer points could not be tracked from the next frame.
+    _LEAST_POINTS = 50
+
+    def add(self, frame: TrackedFrame) -> Started | None:
+        """See ``Starter.add``."""
+        features = frame.features
+        if len(features) <= self.least_keypoints or np.count_nonzero(features.depth > 0) < self._LEAST_POINTS:
+            return None
+        k = self.mapper.add_keyframe(frame.index, frame.timestamp, self.origin, features, frame.points)
+        points = self.mapper.lift_all(k)
+        return Started(k, self.origin, points)
+
+
+def starter(settings: Settings, rig: Rig, mapper: LocalMapper, least_keypoints: int, seed: int) -> Starter:
+    """Return the starter of the rig's mode."""
+    return DepthStarter(mapper, least_keypoints)

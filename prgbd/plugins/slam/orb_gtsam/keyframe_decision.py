@@ -1,0 +1,59 @@
+"""When a frame becomes a keyframe."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+# ORB-SLAM2 (Tracking::NeedNewKeyFrame): below this share of the reference keyframe tracking is weak.
+_WEAK_SHARE = 0.25
+
+
+def needs_keyframe(
+    world: Map,
+    rig: Rig,
+    settings: Settings,
+    frame: TrackedFrame,
+    inliers: int,
+    reference: int,
+    since_last: int,
+    fps: float,
+) -> bool:
+    """Decide as ORB-SLAM2 does (Tracking::NeedNewKeyFrame) with a mapper that is always idle.
+
+    Args:
+        world: The map.
+        rig: The camera.
+        settings: Thresholds.
+        frame: The tracked frame.
+        inliers: Its inliers.
+        reference: The keyframe that shares most points with it.
+        since_last: Frames since the last keyframe.
+        fps: Frame rate.
+    """
+    keyframes = len(world.alive())
+    least = 3 if keyframes > 2 else 2
+    counts = world.observation_counts(world.points_of(reference), double=not rig.mono)
+    expected = int(np.count_nonzero(counts >= least))
+    needs_close = not rig.mono and _needs_close_points(rig, settings, frame)
+    ratio = settings.keyframe_ratio_first if keyframes < 2 else settings.keyframe_ratio
+    if rig.mono:
+        ratio = settings.keyframe_ratio_mono
+    overdue = since_last >= fps
+    mapper_is_ready = since_last >= settings.keyframe_min_interval
+    weak = not rig.mono and (inliers < _WEAK_SHARE * expected or needs_close)
+    due = overdue or mapper_is_ready or weak
+    return due and (inliers < ratio * expected or needs_close) and inliers > settings.keyframe_min_inliers
+
+
+def _needs_close_points(rig: Rig, settings: Settings, frame: TrackedFrame) -> bool:
+    depth = frame.features.depth
+    close = (depth > 0) & (depth < rig.close_depth)
+    tracked = (frame.points >= 0) & ~frame.outlier
+    tracked_close = int(np.count_nonzero(close & tracked))
+    untracked_close = int(np.count_nonzero(close & ~tracked))
+    return tracked_close < settings.keyframe_close_tracked and untracked_close > settings.keyframe_close_untracked

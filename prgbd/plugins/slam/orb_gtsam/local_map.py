@@ -1,0 +1,125 @@
+"""The part of the map around a frame, and its matching to the frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.matching import match_by_projection
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+IntArray = NDArray[np.int64]
+
+# ORB-SLAM2 (ORBmatcher::RadiusByViewingCos): a point seen from its usual side is found nearer to its prediction.
+_FRONTAL_COSINE = 0.998
+_FRONTAL_RADIUS = 2.5
+_OBLIQUE_RADIUS = 4.0
+# How many of the keyframes that share points bring in their own neighbours.
+_EXPANDED = 10
+
+
+@dataclass(frozen=True)
+class LocalMap:
+    """What a frame is matched against.
+
+    Attributes:
+        reference: The keyframe that shares most points with the frame.
+        keyframes: (K,) int64.
+        points: (P,) int64.
+    """
+
+    reference: int
+    keyframes: IntArray
+    points: IntArray
+
+
+class Neighbourhoods:
+    """Remembers covisible keyframes between two changes of the map."""
+
+    def __init__(self, world: Map, least: int) -> None:
+        self._world, self._least = world, least
+        self._known: dict[int, IntArray] = {}
+
+    def clear(self) -> None:
+        """Forget all, after the map changed."""
+        self._known.clear()
+
+    def of(self, k: int) -> IntArray:
+        """Return the keyframes covisible with ``k``, most common points first."""
+        if k not in self._known:
+            self._known[k] = self._world.covisible(k, self._least)[0]
+        return self._known[k]
+
+
+def local_map(world: Map, frame: TrackedFrame, near: Neighbourhoods, settings: Settings) -> LocalMap | None:
+    """Collect the keyframes that see the frame's points, one neighbour of each, and all their points.
+
+    Returns:
+        The local map, or None if no keyframe shares a point with the frame.
+    """
+    counts = world.common(frame.points)
+    order = np.argsort(-counts, kind="stable")
+    order = order[counts[order] > 0][: settings.local_keyframes]
+    if len(order) == 0:
+        return None
+    chosen = [int(k) for k in order]
+    known = set(chosen)
+    for k in chosen[:_EXPANDED]:
+        if len(chosen) >= settings.local_keyframes:
+            break
+        fresh = next((int(n) for n in near.of(k)[:10] if int(n) not in known), None)
+        if fresh is not None:
+            chosen.append(fresh)
+            known.add(fresh)
+    keyframes = np.array(chosen, np.int64)
+    return LocalMap(chosen[0], keyframes, world.seen_by(keyframes))
+
+
+def match_local_map(
+    world: Map, frame: TrackedFrame, points: IntArray, rig: Rig, settings: Settings, *, factor: float
+) -> int:
+    """Match points that the frame does not have yet by projection, and count all that should be visible.
+
+    Args:
+        world: The map.
+        frame: The frame with a pose; gets more matches.
+        points: (P,) int64 candidates.
+        rig: The camera.
+        settings: Thresholds.
+        factor: Multiplies the search radius.
+
+    Returns:
+        Number of new matches.
+    """
+    pts = world.points
+    mine = frame.points[frame.points >= 0]
+    pts.visible[mine] += 1
+    unmatched = np.ones(pts.count, np.bool_)
+    unmatched[mine] = False
+    candidates = points[unmatched[points] & ~pts.bad[points]]
+    seen = rig.project(pts.xyz[candidates], pts.normal[candidates], pts.distance_range[candidates], frame.cTw)
+    inside = np.flatnonzero(seen.visible)
+    candidates = candidates[inside]
+    pts.visible[candidates] += 1
+    level = seen.level[inside]
+    radius = np.where(seen.cosine[inside] > _FRONTAL_COSINE, _FRONTAL_RADIUS, _OBLIQUE_RADIUS) * factor
+    uvr = seen.uvr[inside]
+    if not settings.stereo_gate:
+        uvr[:, 2] = -1.0
+    found = match_by_projection(
+        uvr,
+        radius * rig.scales[level],
+        (level - 1, level),
+        pts.descriptor[candidates],
+        frame.features,
+        rig.columns,
+        limit=settings.distance_high,
+        ratio=settings.ratio_local_map,
+        taken=frame.points >= 0,
+    )
+    return frame.match(found, candidates)

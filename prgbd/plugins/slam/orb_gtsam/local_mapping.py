@@ -1,0 +1,253 @@
+"""The local mapper: what happens to the map after each new keyframe."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.bundle_adjustment import BundleResult, local_bundle_adjustment
+from prgbd.plugins.slam.orb_gtsam.features import Features
+from prgbd.plugins.slam.orb_gtsam.fusion import fuse_into
+from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig, measurements
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
+from prgbd.plugins.slam.orb_gtsam.triangulation import create_points
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# ORB-SLAM2 (LocalMapping::SearchInNeighbors): neighbours of a neighbour that take part in fusion.
+_SECOND_NEIGHBOURS = 5
+# A point may leave probation this many keyframes after its creation (LocalMapping::MapPointCulling).
+_PROBATION = 3
+
+
+class LocalMapper:
+    """Adds keyframes to the map and keeps it clean and consistent around them.
+
+    Args:
+        settings: Thresholds.
+        rig: The camera.
+        world: The map.
+        near: Covisible keyframes, cleared whenever the map changes.
+        watch: Gathers stage times.
+    """
+
+    def __init__(self, settings: Settings, rig: Rig, world: Map, near: Neighbourhoods, watch: Stopwatch) -> None:
+        self.settings, self.rig, self.world, self.near, self.watch = settings, rig, world, near, watch
+        self.keyframes_added = 0
+        self.keyframes_culled = 0
+        self.points_culled = 0
+        self._recent: deque[tuple[int, IntArray]] = deque()
+
+    def add_keyframe(
+        self, frame_index: int, timestamp: float, cTw: FloatArray, features: Features, points: IntArray
+    ) -> int:
+        """Add a keyframe with its points, and new points at its measured depth; return its number."""
+        world = self.world
+        k = world.add_keyframe(frame_index, timestamp, cTw, features, points)
+        self.keyframes_added += 1
+        if not self.rig.mono:
+            rows = self._depth_rows(k)
+            new = world.add_points(k, rows, self.rig.lift(features, rows, inverse(cTw)))
+            self._recent.append((k, new))
+        seen = world.points_of(k)
+        world.refresh(seen[seen >= 0])
+        self.near.clear()
+        return k
+
+    def lift_all(self, k: int) -> IntArray:
+        """Give every keypoint of a first keyframe that has depth its point (Tracking::StereoInitialization)."""
+        world = self.world
+        features = world.features(k)
+        rows = np.flatnonzero((features.depth > 0) & (world.points_of(k) < 0))
+        new = world.add_points(k, rows, self.rig.lift(features, rows, inverse(world.keyframes.cTw[k])))
+        world.refresh(new)
+        return world.points_of(k).copy()
+
+    def _depth_rows(self, k: int) -> IntArray:
+        """Keypoints to lift: all that are close, at least the closest ones, of those without a point."""
+        depth = self.world.features(k).depth
+        order = np.argsort(depth, kind="stable")
+        order = order[depth[order] > 0]
+        wanted = (depth[order] <= self.rig.close_depth) | (np.arange(len(order)) < self.settings.keyframe_points)
+        order = order[wanted]
+        return order[self.world.points_of(k)[order] < 0]
+
+    def process(self, k: int) -> None:
+        """Cull, create, fuse, adjust around the new keyframe ``k``."""
+        watch, settings = self.watch, self.settings
+        with watch("point_culling"):
+            self._cull_points(k)
+        with watch("triangulation"):
+            self._triangulate(k)
+        with watch("fusion"):
+            self._fuse(k)
+        self.near.clear()
+        if settings.local_ba and len(self.world.alive()) > 2:
+            with watch("local_ba"):
+                self.adjust(k)
+            self.near.clear()
+        with watch("keyframe_culling"):
+            self._cull_keyframes(k)
+        self.near.clear()
+
+    def _neighbours(self, k: int) -> IntArray:
+        count = self.settings.neighbours_mono if self.rig.mono else self.settings.neighbours
+        return self.near.of(k)[:count]
+
+    def _cull_points(self, k: int) -> None:
+        """Remove new points that are rarely found or seldom observed (LocalMapping::MapPointCulling)."""
+        pts = self.world.points
+        least = 2 if self.rig.mono else 3
+        kept: deque[tuple[int, IntArray]] = deque()
+        for created, points in self._recent:
+            points = points[~pts.bad[points]]
+            bad = pts.found[points] < self.settings.min_found_ratio * pts.visible[points]
+            if k - created >= 2:
+                bad |= self.world.observation_counts(points, double=not self.rig.mono) <= least
+            self.world.remove_points(points[bad])
+            self.points_culled += int(bad.sum())
+            if k - created < _PROBATION:
+                kept.append((created, points[~bad]))
+        self._recent = kept
+
+    def _triangulate(self, k: int) -> None:
+        created = [create_points(self.world, self.rig, self.settings, k, int(n)) for n in self._neighbours(k)]
+        new = np.concatenate(created) if created else np.zeros(0, np.int64)
+        if len(new):
+            self.world.refresh(new)
+            self._recent.append((k, new))
+
+    def _fuse(self, k: int) -> None:
+        world = self.world
+        targets = dict.fromkeys(int(n) for n in self._neighbours(k))
+        for n in list(targets):
+            targets.update(dict.fromkeys(int(m) for m in self.near.of(n)[:_SECOND_NEIGHBOURS] if int(m) != k))
+        for target in targets:
+            points = world.points_of(k)
+            fuse_into(world, self.rig, self.settings, target, points[points >= 0])
+        if targets:
+            fuse_into(world, self.rig, self.settings, k, world.seen_by(np.array(list(targets))))
+        points = world.points_of(k)
+        world.refresh(points[points >= 0])
+
+    def adjust(self, k: int) -> None:
+        """Bundle adjustment of ``k``, its covisible keyframes and all their points."""
+        world, settings, kf = self.world, self.settings, self.world.keyframes
+        first = int(world.alive()[0])
+        local = np.append(k, self.near.of(k)[: settings.local_ba_keyframes - 1])
+        points = world.seen_by(local)
+        seen = world.observations(points)
+        counts = np.bincount(seen[:, 0], minlength=kf.count)
+        counts[local] = 0
+        others = np.argsort(-counts, kind="stable")[: settings.local_ba_fixed]
+        others = others[counts[others] > 0]
+        keyframes = np.concatenate([local, others])
+        fixed = np.arange(len(keyframes)) >= len(local)
+        fixed |= keyframes == first
+        if not fixed.any():
+            fixed[np.argmin(keyframes)] = True
+        result, seen = self._solve(keyframes, fixed, points, seen)
+        for i, keyframe in enumerate(keyframes.tolist()):
+            if not fixed[i]:
+                world.set_pose(keyframe, result.cTw[i])
+        world.points.xyz[points] = result.xyz
+        self.drop_observations(seen[~result.inlier])
+        world.refresh(points[~world.points.bad[points]])
+
+    def _solve(
+        self, keyframes: IntArray, fixed: NDArray[np.bool_], points: IntArray, seen: IntArray
+    ) -> tuple[BundleResult, IntArray]:
+        world, kf = self.world, self.world.keyframes
+        column = np.full(kf.count, -1, np.int64)
+        column[keyframes] = np.arange(len(keyframes))
+        seen = seen[column[seen[:, 0]] >= 0]
+        at, row = seen[:, 0], seen[:, 1]
+        result = local_bundle_adjustment(
+            kf.cTw[keyframes],
+            fixed,
+            world.points.xyz[points],
+            column[at],
+            np.ascontiguousarray(seen[:, 2]),
+            measurements(kf.uv[at, row], kf.u_right[at, row]),
+            self.rig.inverse_variance[kf.octave[at, row]],
+            *self.rig.intrinsics,
+            iterations=self.settings.local_ba_iterations,
+        )
+        return result, seen
+
+    def drop_observations(self, outliers: IntArray) -> None:
+        """Remove observations ((M, 3) as from ``Map.observations``), and points that keep at most two."""
+        world = self.world
+        points = np.unique(world.keyframes.point[outliers[:, 0], outliers[:, 1]])
+        points = points[points >= 0]
+        world.forget(np.ascontiguousarray(outliers[:, 0]), np.ascontiguousarray(outliers[:, 1]))
+        few = world.observation_counts(points, double=not self.rig.mono) <= 2
+        world.remove_points(points[few])
+
+    def _cull_keyframes(self, k: int) -> None:
+        """Remove keyframes whose points three others see as well or better (LocalMapping::KeyFrameCulling)."""
+        world, kf = self.world, self.world.keyframes
+        first = int(world.alive()[0])
+        for candidate in self.near.of(k).tolist():
+            if candidate in (first, k):
+                continue
+            share = _redundant_share(
+                kf.point,
+                kf.following,
+                kf.octave,
+                kf.depth,
+                world.points.head,
+                candidate,
+                0.0 if self.rig.mono else self.rig.close_depth,
+            )
+            if share > self.settings.redundancy:
+                parents = world.covisible(candidate, 1)[0]
+                parents = parents[parents != candidate]
+                world.cull_keyframe(candidate, int(parents[0]))
+                self.keyframes_culled += 1
+
+    def statistics(self) -> dict[str, Any]:
+        """Return counts for the result."""
+        return {
+            "keyframes_added": self.keyframes_added,
+            "keyframes_culled": self.keyframes_culled,
+            "points_created": self.world.points.count,
+            "points_culled": self.points_culled,
+        }
+
+
+@numba.njit(cache=True, nogil=True)
+def _redundant_share(
+    point_of: np.ndarray,
+    following: np.ndarray,
+    octave: np.ndarray,
+    depth: np.ndarray,
+    head: np.ndarray,
+    k: int,
+    close: float,
+) -> float:
+    """Share of a keyframe's (close) points that at least three others see at the same or a finer scale."""
+    capacity = point_of.shape[1]
+    flat_next, flat_octave = following.reshape(-1), octave.reshape(-1)
+    points, redundant = 0, 0
+    for i in range(capacity):
+        p = point_of[k, i]
+        if p < 0 or (close > 0 and (depth[k, i] <= 0 or depth[k, i] > close)):
+            continue
+        points += 1
+        others, at = 0, head[p]
+        while at >= 0:
+            if at // capacity != k and flat_octave[at] <= octave[k, i] + 1:
+                others += 1
+            at = flat_next[at]
+        redundant += others >= 3
+    return redundant / points if points > 0 else 0.0
