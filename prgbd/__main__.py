@@ -109,15 +109,16 @@ def _task(config: DictConfig) -> None:
     context = HydraConfig.get()
     folder = Path(context.runtime.output_dir)
     overrides = [str(override) for override in context.overrides.task]
+    choices = {str(group): choice for group, choice in context.runtime.choices.items() if "/" not in str(group)}
     options = {str(key): value for key, value in plain.items()}
     if context.mode != RunMode.MULTIRUN:
         try:
-            job.start(options, folder, overrides)
+            job.start(options, folder, overrides, choices)
         except Exception as error:
             _failures.append(error)
         return
     try:
-        job.start(options, folder, overrides)
+        job.start(options, folder, overrides, choices)
     except PrgbdError as error:
         complain(f"run {folder.name}: {error}")
         sweep.note_failure(folder, error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import logging
 import re
 from importlib import metadata, resources
@@ -37,12 +38,12 @@ def conf_folders() -> list[tuple[str, Path]]:
     found = []
     for entry in metadata.entry_points(group=CONF_GROUP):
         try:
-            folder = Path(str(resources.files(entry.value)))
+            spec = importlib.util.find_spec(entry.value)
         except Exception as error:  # a broken package may raise anything, and must not hurt the others
             log.warning("The YAML of %s (%s) could not be found: %s", entry.name, entry.value, error)
             continue
-        if folder.is_dir():
-            found.append((entry.name, folder))
+        places = list(spec.submodule_search_locations or ()) if spec is not None else []
+        found.extend((entry.name, Path(place)) for place in places if Path(place).is_dir())
     return found
 
 

@@ -36,13 +36,14 @@ class Job:
     display: Display
 
 
-def start(config: dict[str, Any], folder: Path, overrides: list[str]) -> None:
+def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: Mapping[str, Any]) -> None:
     """Start a run in ``folder``.
 
     Args:
         config: The whole configuration, plain data.
         folder: The run's folder.
         overrides: What the user typed, kept for the report and for ``resume``.
+        choices: What was chosen of every group, kept for ``resume``.
 
     Raises:
         PrgbdError: If something the user can mend is wrong.
@@ -50,7 +51,8 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str]) -> None:
     import prgbd
 
     quiet()
-    noted = {**config, META: {"version": prgbd.__version__, "started_in": os.getcwd(), "overrides": overrides}}
+    about = {"version": prgbd.__version__, "started_in": os.getcwd(), "overrides": overrides, "choices": dict(choices)}
+    noted = {**config, META: about}
     try:
         check_settings(config)
         parts = make_parts(config)

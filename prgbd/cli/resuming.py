@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from prgbd.cli import job
-from prgbd.cli.arguments import is_multirun, is_true
+from prgbd.cli.arguments import GROUPS, is_multirun, is_true
 from prgbd.core.errors import ConfigError
 from prgbd.loop.store import newest_unfinished, read_config
 
@@ -54,11 +54,11 @@ def _changes(config: dict[str, Any], arguments: Sequence[str], folder: Path) -> 
 
 def _agrees(config: dict[str, Any], key: str, value: Any) -> bool:
     """Say whether the option has that value in the run already."""
+    if key in GROUPS:
+        return bool(config.get(job.META, {}).get("choices", {}).get(key) == value)
     node: Any = config
     for part in key.split("."):
         if not isinstance(node, dict) or part not in node:
             return False
         node = node[part]
-    if isinstance(node, dict):
-        return bool(node.get("id", node.get("name")) == value)
     return bool(node == value)

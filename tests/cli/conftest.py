@@ -28,9 +28,16 @@ class Answer:
 
 
 @pytest.fixture
-def cli(capfd, tmp_path, monkeypatch):
+def real_report():
+    """Asks ``cli`` for real reports; elsewhere their figures are left out, for they take longer than all the rest."""
+
+
+@pytest.fixture
+def cli(capfd, tmp_path, monkeypatch, request):
     """Call the command line in an empty folder."""
     fakes.register()
+    if "real_report" not in request.fixturenames:
+        monkeypatch.setattr("prgbd.report.page.write_report", lambda run: None)
     fakes.Sideways.tracked_in_process = 0
     monkeypatch.chdir(tmp_path)
 

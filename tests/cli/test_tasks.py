@@ -1,0 +1,187 @@
+"""Whole runs of every task on the small plug-ins."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from tests.cli.conftest import FAKES
+from tests.loop.fakes import WALL
+
+EVERY_LOOP = {
+    "slam/wall/result.npz",
+    "slam/wall/trajectory.tum",
+    "slam/wall/trajectory.kitti",
+    "slam/wall/keyframes.tum",
+    "slam/wall/keyframes.kitti",
+    "slam/wall/online.tum",
+    "slam/wall/map.ply",
+    "slam/wall/slam.json",
+    "depth/samples.npz",
+}
+
+
+def files(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_loop_leaves_the_whole_folder(run, real_report):
+    summary = run("task.max_loops=2", "seed=3")
+    assert {"config.yaml", "summary.json", "metrics.csv", "run.log", "report.html", "truth/wall.tum"} <= files(
+        Path("run")
+    )
+    assert files(Path("run/weights")) == {"model.pth"}
+    for loop in range(3):
+        learnt = {"training/losses.csv", "weights/model.pth"} if loop < 2 else set()
+        assert files(Path(f"run/loops/{loop:02d}")) == EVERY_LOOP | learnt
+    assert not Path("run/cache").exists()
+    config = OmegaConf.load("run/config.yaml")
+    assert config.seed == 3
+    assert config.task.max_loops == 2
+
+    names = [loop["name"] for loop in summary["loops"]]
+    assert names == ["pRGBD-Initial", "pRGBD-Refined", "pRGBD-Refined (2)"]
+    assert summary["stop"]["best_loop"] == 2
+    assert (summary["slam"], summary["depth"], summary["data"]) == ("test/sideways", "test/tiny", "test/wall")
+    first = summary["loops"][0]
+    assert first["pose"]["wall"]["tracked_frames"] == first["pose"]["wall"]["frames"] == 12
+    assert first["pose"]["wall"]["alignment"] == "sim3"
+    assert 0 < first["pose"]["wall"]["ate_rmse"] < 0.05
+    assert first["depth"]["images"] == 12
+    assert first["baseline"]["wall"] == pytest.approx(0.54 / 80 * first["depth_max"]["wall"])
+    assert first["pose"]["wall"]["baseline"] == first["baseline"]["wall"]
+    losses = list(csv.DictReader(Path("run/loops/00/training/losses.csv").read_text().splitlines()))
+    assert list(losses[0]) == [
+        "step", "epoch", "total", "photometric", "smoothness", "depth_consistency", "depth_transfer"
+    ]  # fmt: skip
+    for loop in summary["loops"][:2]:
+        assert loop["training"]["held_out_after"] < loop["training"]["held_out_before"]
+    # The refined network was used: its depth is nearer to SLAM's points, which lie on the wall.
+    samples = [np.load(f"run/loops/{loop:02d}/depth/samples.npz") for loop in range(3)]
+    distance = [abs(float(np.median(s["depth"])) - WALL) for s in samples]
+    assert distance[0] > distance[1] > distance[2]
+    assert np.array_equal(samples[0]["frame_index"], samples[2]["frame_index"])
+
+
+def test_no_improvement_stops_and_goes_back_to_the_better_weights(run):
+    import torch
+
+    summary = run("task.min_improvement=0.999")
+    assert [loop["loop"] for loop in summary["loops"]] == [0]
+    assert summary["stop"]["best_loop"] == 0
+    assert "No improvement" in summary["stop"]["reason"]
+    kept, refined = (torch.load(f"run/{path}/model.pth") for path in ("weights", "loops/00/weights"))
+    assert float(kept["bias"]) == pytest.approx(np.log(3.0))
+    assert float(refined["bias"]) != float(kept["bias"])
+
+
+def test_same_seed_same_result(run, monkeypatch, tmp_path):
+    first = run("task.max_loops=1")
+    (tmp_path / "again").mkdir()
+    monkeypatch.chdir(tmp_path / "again")
+    second = run("task.max_loops=1")
+    assert without_times(first) == without_times(second)
+
+
+def without_times(value):
+    """The summary without what the clock and the place decide."""
+    if isinstance(value, dict):
+        return {k: without_times(v) for k, v in value.items() if k not in ("seconds", "fps")}
+    return [without_times(v) for v in value] if isinstance(value, list) else value
+
+
+def test_test_sequences_are_evaluated_but_not_learnt_from(run):
+    summary = run("data.root=.", "data.sequences=[00]", "data.test_sequences=[10]", "task.max_loops=1")
+    assert summary["sequences"] == ["00", "10"]
+    assert set(summary["loops"][1]["pose"]) == {"00", "10"}
+    assert summary["loops"][0]["training"]["keyframes"] == 6
+    assert summary["loops"][0]["depth"]["images"] == 12
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name", "baseline"),
+    [
+        (["slam.mode=mono"], "RGB", None),
+        (["data.sensor=true"], "RGB-D", 0.08),
+        (["data.sensor=true", "slam.mode=rgbd", "+depth=test/tiny", "slam.baseline=0.2"], "RGB-D", 0.2),
+        (["+depth=test/tiny", "slam.baseline=0.3"], "pRGBD-Initial", 0.3),
+    ],
+)
+def test_slam_alone_uses_the_depth_that_was_asked_for(run, arguments, name, baseline):
+    summary = run("task=slam", *arguments, fakes=("slam=test/sideways", "data=test/wall"))
+    (loop,) = summary["loops"]
+    assert loop["name"] == name
+    assert loop["pose"]["wall"]["baseline"] == baseline
+    assert loop["pose"]["wall"]["mode"] == ("mono" if name == "RGB" else "rgbd")
+    assert (loop["depth"] is not None) == (name == "pRGBD-Initial")
+    assert summary["depth"] == ("test/tiny" if name == "pRGBD-Initial" else "")
+
+
+def test_adaptive_baseline_by_percentile(run):
+    everything = run("task=slam")
+    assert everything["loops"][0]["depth_max"]["wall"] > 3.0
+    Path("run").rename("first")
+    median = run("task=slam", "sensing.baseline_percentile=50")
+    assert median["loops"][0]["depth_max"]["wall"] < everything["loops"][0]["depth_max"]["wall"]
+
+
+def test_depth_writes_png_preview_and_numbers(run):
+    summary = run("task=depth", "task.npz=true", "task.every=5")
+    folder = Path("run/depth/wall")
+    assert files(folder / "png") == {"000000.png", "000005.png", "000010.png"}
+    assert files(folder / "preview") == {"000000.jpg", "000005.jpg", "000010.jpg"}
+    exact = np.load(folder / "npz" / "000005.npz")["depth"]
+    stored = cv2.imread(str(folder / "png" / "000005.png"), cv2.IMREAD_UNCHANGED)
+    assert stored.dtype == np.uint16
+    assert np.abs(stored / 256 - exact).max() <= 0.5 / 256 + 1e-6
+    assert json.loads((folder / "depth.json").read_text())["png_scale"] == 256
+    assert summary["loops"][0]["depth"]["abs_rel"] < 0.05  # after median scaling
+
+
+def test_evaluate_a_network_and_a_trajectory(run):
+    run("task=slam", "slam.mode=mono", fakes=("slam=test/sideways", "data=test/wall"))
+    Path("run").rename("slam")
+    for name in ("trajectory.tum", "trajectory.kitti"):
+        file = f"slam/loops/00/slam/wall/{name}"
+        summary = run("task=evaluate", f"task.trajectory={file}", fakes=("depth=test/tiny", "data=test/wall"))
+        pose = summary["loops"][0]["pose"]["wall"]
+        before = json.loads(Path("slam/summary.json").read_text())["loops"][0]["pose"]["wall"]
+        assert pose["ate_rmse"] == pytest.approx(before["ate_rmse"], rel=1e-3)
+        assert summary["loops"][0]["depth"]["images"] == 12
+        Path("run").rename(f"evaluated-{name}")
+
+
+def test_an_existing_run_is_not_overwritten(run, cli):
+    before = run("task=slam")
+    answer = cli(*FAKES, "task=slam", "out=run")
+    assert answer.code == 2
+    assert "resume=run" in answer.sentence.replace(str(Path.cwd()) + "/", "")
+    assert json.loads(Path("run/summary.json").read_text()) == before
+
+
+def test_multirun_gives_one_table_and_goes_on_after_a_failure(cli):
+    answer = cli("-m", *FAKES, "out=sweep", "task.max_loops=1", "loss=all,no_photometric", "seed=0,-1")
+    assert answer.code == 2
+    assert sorted(p.parent.name for p in Path("sweep").glob("*/summary.json")) == ["0", "2"]
+    table = Path("sweep/ablation.md").read_text()
+    assert "loss=no_photometric" in table
+    assert "seed is -1" in answer.err
+    assert "2 of the runs failed" in answer.err
+
+
+def test_help_names_choices_and_examples(cli):
+    answer = cli("--help")
+    assert answer.code == 0
+    for word in ("orb_gtsam", "monodepth2", "test/tiny", "no_depth_transfer", "resume=last", "slam.mode"):
+        assert word in answer.out
+
+
+def test_printing_the_configuration_runs_nothing(cli):
+    answer = cli(*FAKES, "--cfg", "job")
+    assert answer.code == 0
+    assert "id: test/tiny" in answer.out
+    assert not list(Path().iterdir())
