@@ -35,7 +35,7 @@ class PluginPackagesSearchPath(SearchPathPlugin):
 
 def conf_folders() -> list[tuple[str, Path]]:
     """Return (package, folder) of every installed package that brings YAML; a broken package is left out."""
-    found = []
+    found: list[tuple[str, Path]] = []
     for entry in metadata.entry_points(group=CONF_GROUP):
         try:
             spec = importlib.util.find_spec(entry.value)

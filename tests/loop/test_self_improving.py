@@ -1,0 +1,82 @@
+"""The loop's own decisions; whole runs are tested through the command line."""
+
+import math
+
+import numpy as np
+import pytest
+
+from prgbd.core.errors import ConfigError
+from prgbd.loop.depth_figures import depth_figures, evenly, write_samples
+from prgbd.loop.self_improving import LoopSettings, loop_name, stop_reason
+from prgbd.loop.sensing import DepthSensor
+from tests.loop.fakes import Tiny, Wall
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "least", "stops"),
+    [
+        (1.0, 0.9, 0.0, False),
+        (1.0, 1.0, 0.0, True),
+        (1.0, 1.1, 0.0, True),
+        (1.0, 0.96, 0.05, True),
+        (1.0, 0.94, 0.05, False),
+        (1.0, math.nan, 0.0, True),
+        (1.0, None, 0.0, True),
+    ],
+)
+def test_stop_rule(before, after, least, stops):
+    assert bool(stop_reason(before, after, least)) == stops
+
+
+def test_names_are_the_paper_s():
+    assert [loop_name(k) for k in range(3)] == ["pRGBD-Initial", "pRGBD-Refined", "pRGBD-Refined (2)"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"max_loops": -1},
+        {"max_loops": 1.5},
+        {"min_improvement": 1.0},
+        {"baseline_percentile": 0},
+        {"baseline_percentile": 101},
+        {"depth_cap": 0},
+    ],
+)
+def test_settings_are_checked(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        LoopSettings(**wrong)
+
+
+def test_evenly_spaced():
+    assert evenly(5, None).tolist() == [0, 1, 2, 3, 4]
+    assert evenly(100, 3).tolist() == [0, 50, 99]
+    assert evenly(2, 9).tolist() == [0, 1]
+
+
+def test_samples_of_several_sequences_have_one_size(tmp_path):
+    small, large = Wall(frames=8), Wall("10", frames=8)
+    sensors = [DepthSensor(Tiny(), sequence, tmp_path, name="t") for sequence in (small, large)]
+    write_samples(sensors, tmp_path / "samples.npz", count=6)
+    samples = np.load(tmp_path / "samples.npz")
+    assert samples["images"].shape == (6, 64, 96, 3)
+    assert samples["depth"].shape == samples["truth"].shape == (6, 64, 96)
+    assert samples["sequence"].tolist() == ["wall"] * 3 + ["10"] * 3
+    for row, index in enumerate(samples["frame_index"]):
+        sensor = sensors[row // 3]
+        np.testing.assert_allclose(samples["depth"][row], sensor.depth(int(index)))
+        np.testing.assert_array_equal(samples["images"][row], sensor.sequence.frame(int(index)).image)
+
+
+def test_depth_figures_count_images_with_truth(tmp_path):
+    class Blind(Wall):
+        def depth(self, index):
+            return super().depth(index) if index % 2 else None
+
+    class NoTruth(Wall):
+        def depth(self, index):
+            return None
+
+    figures = depth_figures([DepthSensor(Tiny(), Blind(frames=6), tmp_path, name="t")], images=None)
+    assert (figures["images"], figures["images_without_truth"]) == (3, 3)
+    assert depth_figures([DepthSensor(Tiny(), NoTruth(frames=6), tmp_path, name="t")]) is None

@@ -1,0 +1,133 @@
+import numpy as np
+import pytest
+import torch
+
+from prgbd import DepthPrediction
+from prgbd.core.errors import ContractError
+from prgbd.loop.sensing import DepthSensor, adaptive_baseline, weights_fingerprint
+from tests.loop.fakes import NanDepth, Tiny, Wall, ZeroDepth
+
+
+class Ramp(Tiny):
+    """Depth grows with the brightness of the picture; counts its forward passes."""
+
+    passes = 0
+
+    def forward(self, images):
+        Ramp.passes += len(images)
+        return DepthPrediction((1.0 + 10 * images.mean(1, keepdim=True) + 0 * self.bias,))
+
+
+@pytest.fixture(autouse=True)
+def _count():
+    Ramp.passes = 0
+
+
+def make(estimator, tmp_path, sequence=None, **options):
+    return DepthSensor(estimator, sequence or Wall(frames=5), tmp_path, name="test", **options)
+
+
+def test_depth_is_the_network_s_at_the_size_of_the_image(tmp_path):
+    network = Ramp()
+    sensor = make(network, tmp_path)
+    for index, frame in enumerate(sensor):
+        assert frame.index == index
+        assert frame.depth.shape == frame.image.shape[:2] == (64, 96)
+        assert frame.depth.dtype == np.float32
+        np.testing.assert_allclose(frame.depth, network.predict(frame.image), rtol=1e-5)
+
+
+def test_the_baseline_is_the_paper_s(tmp_path):
+    sensor = make(Ramp(), tmp_path)
+    statistics = sensor.prepare()
+    with torch.inference_mode():
+        depths = [Ramp()(Ramp().preprocess(frame.image)[None]).depth.numpy() for frame in sensor]
+    assert statistics.depth_max == pytest.approx(float(np.max(depths)))
+    assert statistics.adaptive_baseline == pytest.approx(0.54 / 80 * np.max(depths))
+    assert adaptive_baseline(80.0) == pytest.approx(0.54)
+    np.testing.assert_allclose(statistics.median, [np.median(d) for d in depths], rtol=1e-6)
+
+
+def test_percentile_of_all_pixels(tmp_path):
+    sensor = make(Ramp(), tmp_path, percentile=90)
+    with torch.inference_mode():
+        depths = [Ramp()(Ramp().preprocess(frame.image)[None]).depth.numpy() for frame in sensor]
+    assert sensor.prepare().depth_max == pytest.approx(float(np.percentile(depths, 90)), rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 8])
+def test_batches_make_no_difference(tmp_path, size):
+    network = Tiny()
+    one = make(network, tmp_path / "b", batch_size=1).depth(3)
+    np.testing.assert_allclose(make(network, tmp_path / "c", batch_size=size).depth(3), one, rtol=1e-5)
+
+
+def test_a_frame_is_predicted_once_and_again_only_for_other_weights_or_frames(tmp_path):
+    network = Ramp()
+    for _ in range(2):
+        sensor = make(network, tmp_path)
+        sensor.prepare()
+        list(sensor)
+    assert Ramp.passes == 5
+    make(network, tmp_path, percentile=50).prepare()
+    assert Ramp.passes == 5
+    make(network, tmp_path, Wall(frames=5, seed=9)).prepare()
+    assert Ramp.passes == 10
+    with torch.no_grad():
+        network.bias.add_(1e-6)
+    make(network, tmp_path).prepare()
+    assert Ramp.passes == 15
+
+
+def test_forget_deletes_the_files(tmp_path):
+    sensor = make(Ramp(), tmp_path / "cache")
+    sensor.depth(0)
+    assert len(list((tmp_path / "cache").iterdir())) == 2
+    sensor.forget()
+    assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize("cls", [NanDepth, ZeroDepth])
+def test_spoilt_depth_names_plugin_and_frame_and_leaves_nothing(tmp_path, cls):
+    with pytest.raises(ContractError, match=r"'test'.*frame 2 of 'wall'"):
+        make(cls(), tmp_path / "cache").prepare()
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_the_passive_check_s_sentence_gains_the_frame(tmp_path):
+    from prgbd.core.passive import with_checks
+
+    class Negative(Tiny):
+        def forward(self, images):
+            return DepthPrediction((-super().forward(images).depth,))
+
+    with pytest.raises(ContractError, match=r"zero, negative.*frame 0 of 'wall'"):
+        make(with_checks("depth", "negative", Negative()), tmp_path).prepare()
+
+
+def test_scale_drift_is_told(tmp_path):
+    class Drifting(Tiny):
+        frame = 0
+
+        def predict(self, image):
+            Drifting.frame += 1
+            return np.full(image.shape[:2], 4.0 if Drifting.frame > 3 else 2.0, np.float32)
+
+    found = make(Drifting(), tmp_path).prepare().diagnostics()
+    assert found["largest_scale_step"] == pytest.approx(1.0)
+    assert (found["median_depth_lowest"], found["median_depth_highest"]) == (2.0, 4.0)
+
+
+def test_fingerprint_sees_every_weight():
+    network = Tiny()
+    before = weights_fingerprint(network)
+    assert weights_fingerprint(network) == before
+    with torch.no_grad():
+        network.conv.weight[0, 2, 4, 4] += 1e-7
+    assert weights_fingerprint(network) != before
+
+
+def test_training_mode_is_left_as_it_was(tmp_path):
+    network = Ramp().train()
+    make(network, tmp_path).prepare()
+    assert network.training

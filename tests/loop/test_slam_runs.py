@@ -1,0 +1,49 @@
+import pytest
+
+from prgbd.core.errors import DataError
+from prgbd.loop.slam_runs import KINECT_BASELINE, pose_figures, run_slam, sensor_input
+from tests.loop.fakes import Sideways, Wall
+
+
+def test_figures_of_a_run():
+    sequence = Wall(frames=9)
+    result = run_slam(Sideways, sequence, sensor_input(sequence, "mono", None), seed=2)
+    figures = pose_figures(result, sequence)
+    assert (figures["frames"], figures["tracked_frames"], figures["lost_frames"]) == (9, 9, 0)
+    assert figures["keyframes"] == 5
+    assert figures["fps"] == pytest.approx(9 / figures["seconds"])
+    assert result.stats["seed"] == 2
+    assert 0 < figures["ate_rmse"] < 0.05
+
+
+@pytest.mark.parametrize(("fixed", "own", "used"), [(0.3, 0.5, 0.3), (None, 0.5, 0.5), (None, None, KINECT_BASELINE)])
+def test_baseline_of_a_sensor(fixed, own, used):
+    sequence = Wall(sensor=True)
+    sequence.baseline = own
+    assert sensor_input(sequence, "rgbd", fixed).baseline == used
+
+
+def test_mono_sees_no_depth():
+    sequence = Wall(sensor=True)
+    assert all(frame.depth is None for frame in sensor_input(sequence, "mono", None).frames)
+
+
+def test_rgbd_without_a_sensor_is_refused():
+    with pytest.raises(DataError, match=r"'wall'.*slam\.mode=mono"):
+        sensor_input(Wall(), "rgbd", None)
+
+
+def test_the_system_is_closed_even_when_it_fails():
+    closed = []
+
+    class Fails(Sideways):
+        def track(self, frame):
+            raise ZeroDivisionError
+
+        def close(self):
+            closed.append(True)
+
+    sequence = Wall()
+    with pytest.raises(ZeroDivisionError):
+        run_slam(Fails, sequence, sensor_input(sequence, "mono", None))
+    assert closed == [True]
