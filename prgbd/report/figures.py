@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 INK, MUTED, GRID = "#010203", "#6e7072", "#d9dadb"
 LOOP_COLOURS = ("#e0783a", "#c2528b", "#7a5fd0", "#2f7fc8", "#12998b")
 STATE_COLOURS = {"ok": "#3aa675", "lost": "#d1495b", "not_initialized": "#aab0bb", "collected": "#7aa6d8"}
-WIDTH = 5.8  # inches; small enough that labels stay readable on a phone
+WIDTH = 5.2  # inches; small enough that labels stay readable on a phone
 MOST_POINTS = 1500  # per line; more cannot be seen and only makes the file large
 
 _STYLE: Any = {
@@ -108,10 +108,10 @@ def loop_colours(count: int) -> list[str]:
     return [to_hex(ramp(i / (count - 1))) for i in range(count)]
 
 
-def _figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Any]:
+def _figure(height: float, rows: int = 1, columns: int = 1, width: float = WIDTH, **options: Any) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
 
 
@@ -190,7 +190,7 @@ def trajectory_figure(
         points: (P, 3) map points to draw faintly below, or None.
         unit: Unit of the axes.
     """
-    figure, ax = _figure(4.6)
+    figure, ax = _figure(5.0)
     positions = np.concatenate([p.xyz for p in paths if len(p.xyz)] or [np.zeros((1, 3))])[:, list(axes)]
     low, high = positions.min(axis=0), positions.max(axis=0)
     margin = 0.08 * max(float((high - low).max()), 1e-6)
@@ -199,7 +199,7 @@ def trajectory_figure(
         # The view stays near the path: a few far points would shrink it to a speck.
         near = np.all((flat > low - 8 * margin) & (flat < high + 8 * margin), axis=1)
         flat = flat[near][:: max(1, int(near.sum()) // 20000)]
-        ax.plot(flat[:, 0], flat[:, 1], ".", color="#8a93a3", ms=1.0, alpha=0.35, mew=0, rasterized=True)
+        ax.plot(flat[:, 0], flat[:, 1], ".", color="#8a93a3", ms=1.8, alpha=0.5, mew=0, rasterized=True)
     for path in paths:
         (line,) = _broken(path.frames, path.xyz[:, list(axes)])
         truth = path.colour == INK
@@ -210,7 +210,8 @@ def trajectory_figure(
     if paths and len(paths[0].xyz):
         ax.plot(*paths[0].xyz[0, list(axes)], "o", mfc="none", mec=INK, ms=7, mew=1.3, label="start")
     middle, size = (low + high) / 2, high - low + 2 * margin
-    half = 0.5 * max(size[0] / 5.0, size[1] / 3.7) * np.array([5.0, 3.7])  # the axes are about 5 by 3.7 inches
+    inches = np.array([4.5, 4.0])  # about the size of the axes
+    half = 0.5 * (size / inches).max() * inches
     ax.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
     ax.set_aspect("equal")
     ax.set_xlabel(f"{'xyz'[axes[0]]} ({unit})")
@@ -271,70 +272,67 @@ def timeline_figure(timelines: Sequence[Timeline]) -> Figure:
     return figure
 
 
+def loss_terms(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]]) -> list[str]:
+    """Return the names of the loss terms that have any figure, the total first."""
+    names = dict.fromkeys(n for _, c in loops for n in c if n not in ("step", "epoch") and np.isfinite(c[n]).any())
+    return sorted(names, key=lambda n: n != "total")
+
+
 @matplotlib.rc_context(_STYLE)
-def loss_figure(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]]) -> Figure | None:
-    """Draw every loss term over the steps of all loops, one after another; None if there are no steps."""
-    columns = [n for _, c in loops for n in c if n not in ("step", "epoch") and np.isfinite(c[n]).any()]
-    names = sorted(dict.fromkeys(columns), key=lambda n: (n != "total", columns.index(n)))
-    lengths = [max((len(c[n]) for n in c), default=0) for _, c in loops]
-    if not names or not sum(lengths):
-        return None
-    figure, axes = _figure(0.55 + 1.15 * len(names), len(names), 1, sharex=True, squeeze=False)
-    starts = np.concatenate([[0], np.cumsum(lengths)])
-    for ax, name in zip(axes[:, 0], names, strict=True):
-        for (_, losses), start, colour in zip(loops, starts, loop_colours(len(loops)), strict=False):
-            if name in losses:
-                _draw_loss(ax, start + np.arange(len(losses[name])), losses[name], colour)
-        for start in starts[1:-1]:
-            ax.axvline(start - 0.5, color=MUTED, lw=0.8, ls=":")
-        ax.set_title(name.replace("_", " "), fontsize=10, pad=3)
-        ax.margins(x=0.01)
-        ax.locator_params(axis="y", nbins=3)
-    for (label, _), start, length in zip(loops, starts, lengths, strict=False):
-        if length and len(loops) > 1:
-            axes[0, 0].annotate(
-                label, (start, 1), xycoords=("data", "axes fraction"), xytext=(4, -2), textcoords="offset points",
-                va="top", fontsize=9, color=MUTED,
-            )  # fmt: skip
-    axes[-1, 0].set_xlabel("training step")
+def loss_figure(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]], term: str) -> Figure:
+    """Draw one loss term over the steps of all loops, one after another.
+
+    Args:
+        loops: Name and columns of ``losses.csv`` of each loop.
+        term: The column to draw.
+    """
+    figure, ax = _figure(2.4, width=3.9)
+    starts = np.concatenate([[0], np.cumsum([max((len(v) for v in c.values()), default=0) for _, c in loops])])
+    for (label, losses), start, colour in zip(loops, starts, loop_colours(len(loops)), strict=False):
+        if term in losses and len(losses[term]):
+            _draw_loss(ax, start + np.arange(len(losses[term])), losses[term], colour, label)
+    for start in starts[1:-1]:
+        ax.axvline(start - 0.5, color=MUTED, lw=0.8, ls=":")
+    ax.set_title(term.replace("_", " "), pad=5)
+    ax.margins(x=0.02)
+    ax.locator_params(axis="y", nbins=4)
+    ax.set_xlabel("training step")
+    if len(loops) > 1 and term == "total":
+        ax.legend()
     return figure
 
 
-def _draw_loss(ax: Axes, steps: NDArray[Any], values: NDArray[np.float64], colour: str) -> None:
+def _draw_loss(ax: Axes, steps: NDArray[Any], values: NDArray[np.float64], colour: str, label: str) -> None:
     window = max(1, len(values) // 25)
     thin = max(1, len(values) // MOST_POINTS)
     if window > 1:
         ax.plot(steps[::thin], values[::thin], color=colour, lw=0.7, alpha=0.3)
         kernel = np.ones(window) / window
         values, steps = np.convolve(values, kernel, "valid"), steps[window // 2 :][: len(values) - window + 1]
-    ax.plot(steps[::thin], values[::thin], color=colour, lw=1.7, marker="o" if len(values) == 1 else "")
+    ax.plot(steps[::thin], values[::thin], color=colour, lw=1.7, label=label, marker="o" if len(values) == 1 else "")
 
 
 @matplotlib.rc_context(_STYLE)
-def metrics_figure(panels: Sequence[tuple[str, dict[str, list[float | None]]]], names: Sequence[str]) -> Figure:
-    """Draw figures over the loops as small multiples.
+def metric_figure(title: str, series: dict[str, list[float | None]]) -> Figure:
+    """Draw one figure over the loops.
 
     Args:
-        panels: ``(title, {series: one value or None per loop})`` of each panel.
-        names: Name of each loop.
+        title: What it is, with its unit.
+        series: One value or None per loop, by name; several names get a legend.
     """
-    columns = 2 if len(panels) > 1 else 1
-    rows = -(-len(panels) // columns)
-    figure, axes = _figure(0.3 + 1.9 * rows, rows, columns, squeeze=False)
+    figure, ax = _figure(2.1, width=2.9)
     shades = ("#2f7fc8", "#e0783a", "#12998b", "#c2528b", "#7a5fd0", "#9a8032", "#5f6b7a", "#b04a3a")
-    for ax, (title, series) in zip(axes.ravel(), panels, strict=False):
-        for i, (label, values) in enumerate(series.items()):
-            y = np.array([np.nan if v is None else v for v in values])
-            ax.plot(range(len(y)), y, "o-", color=shades[i % len(shades)], ms=5, label=label)
-        ax.set_title(title, pad=5, fontsize=10)
-        ax.set_xticks(range(len(names)), [str(i) for i in range(len(names))])
-        ax.set_xlim(-0.3, len(names) - 0.7)
-        ax.set_ylim(bottom=0)
-        ax.margins(y=0.15)
-        if len(series) > 1:
-            ax.legend(fontsize=8)
-    for ax in axes.ravel()[len(panels) :]:
-        ax.set_visible(False)
-    for ax in axes[-1]:
-        ax.set_xlabel("loop")
+    count, top = 1, 0.0
+    for i, (label, values) in enumerate(series.items()):
+        y = np.array([np.nan if v is None else v for v in values])
+        ax.plot(range(len(y)), y, "o-", color=shades[i % len(shades)], ms=5.5, label=label)
+        count, top = max(count, len(y)), max(top, float(np.nanmax(y, initial=0.0)))
+    ax.set_title(title, pad=6)
+    ax.set_xticks(range(count), [str(i) for i in range(count)])
+    ax.set_xlim(-0.3, count - 0.7)
+    ax.set_ylim(0, 1.12 * top or 1.0)
+    ax.locator_params(axis="y", nbins=5)
+    ax.set_xlabel("loop")
+    if len(series) > 1:
+        ax.legend(fontsize=8)
     return figure

@@ -59,6 +59,12 @@ class Run:
             names += [n for n in (loop.get("pose") or {}) if n not in names]
         return [str(n) for n in names]
 
+    def label(self, loop: dict[str, Any]) -> str:
+        """Return the loop's name, with its number where several loops have the same name."""
+        name = loop_name(loop)
+        twins = sum(loop_name(other) == name for other in self.loops)
+        return f"{name} {loop.get('loop')}" if twins > 1 else name
+
     def folder(self, loop: dict[str, Any]) -> Path:
         """Return the folder of a loop."""
         return self.path / "loops" / f"{int(loop.get('loop', 0)):02d}"

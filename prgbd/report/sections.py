@@ -14,7 +14,7 @@ from prgbd.core.export import match_times
 from prgbd.core.types import SlamResult, Trajectory
 from prgbd.report import figures, pictures, tables
 from prgbd.report.figures import Path3D, Timeline
-from prgbd.report.reading import Run, loop_name, mean_pose
+from prgbd.report.reading import Run, mean_pose
 from prgbd.report.words import number
 
 MOST_SEQUENCES = 12
@@ -24,7 +24,7 @@ FEWEST_POSES = 3
 def figure_html(figure: Any, label: str, caption: str, key: str) -> str:
     """Return a figure element; ``key`` must be unique on the page, ``caption`` is HTML."""
     svg = figures.inline_svg(figures.to_svg(figure), label, key)
-    return f"<figure>{svg}<figcaption>{caption}</figcaption></figure>"
+    return f"<figure>{svg}{f'<figcaption>{caption}</figcaption>' if caption else ''}</figure>"
 
 
 def loops_section(run: Run) -> str:
@@ -32,15 +32,14 @@ def loops_section(run: Run) -> str:
     table = tables.loops_table(run.summary)
     if not table.rows:
         return ""
-    html = "<h2>Loops</h2>" + tables.to_html(table)
+    html = "<h2>Loops</h2>" + tables.to_html(table, caption=False)
     if len(run.loops) > 1:
         panels = _panels(run)
-        if panels:
-            names = [loop_name(loop) for loop in run.loops]
-            order = "; ".join(f"{i}: {escape(n)}" for i, n in enumerate(names))
-            caption = f"Figures over the loops ({order}). Lower is better, except δ&lt;1.25."
-            drawing = figure_html(figures.metrics_figure(panels, names), "metrics by loop", caption, "m-")
-            html += f'<div class="grid">{drawing}</div>'
+        drawn = [
+            figure_html(figures.metric_figure(title, series), f"{title} by loop", "", f"m{i}-")
+            for i, (title, series) in enumerate(panels)
+        ]
+        html += f'<div class="grid small">{"".join(drawn)}</div>' if drawn else ""
     return html
 
 
@@ -65,12 +64,7 @@ def pose_section(run: Run) -> str:
         found = [(loop, run.result(loop, name)) for loop in run.loops]
         results = [(loop, result) for loop, result in found if result is not None]
         if results:
-            html += (
-                f"<h3>{escape(name)}</h3>"
-                + '<div class="grid">'
-                + _sequence(run, name, results, f"s{number_}-")
-                + "</div>"
-            )
+            html += f"<h3>{escape(name)}</h3>" + _sequence(run, name, results, f"s{number_}-")
     if not html:
         return ""
     if len(run.sequences) > MOST_SEQUENCES:
@@ -86,7 +80,7 @@ def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResul
     series, points, left_out = [], None, []
     for loop, result in results:
         aligned = _align(result.trajectory, reference)
-        label, colour = loop_name(loop), colours[id(loop)]
+        label, colour = run.label(loop), colours[id(loop)]
         if aligned is None:
             left_out.append(label)
             continue
@@ -99,26 +93,25 @@ def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResul
         points = transform.points(result.points.xyz) if len(result.points) else points
         if reference is truth:
             series.append((label, colour, result.trajectory.frame_index[rows], errors))
-    html = ""
+    left, right = "", ""
     if paths:
-        axes = figures.horizontal_axes(reference.wTc)
-        unit = "m" if reference is truth else "map units"
-        drawing = figures.trajectory_figure(paths, axes, points, unit)
-        html += figure_html(
-            drawing, f"trajectories of {name} from above", _path_caption(truth is not None, left_out), key + "t"
+        drawing = figures.trajectory_figure(
+            paths, figures.horizontal_axes(reference.wTc), points, "m" if reference is truth else "map units"
         )
+        caption = _path_caption(truth is not None, left_out)
+        left = figure_html(drawing, f"trajectories of {name} from above", caption, key + "t")
     lines = [
-        Timeline(loop_name(loop), list(r.states), r.inliers, r.keyframes.frame_index, colours[id(loop)])
+        Timeline(run.label(loop), list(r.states), r.inliers, r.keyframes.frame_index, colours[id(loop)])
         for loop, r in results
     ]
     caption = "State of every frame; white ticks are keyframes. Below, the matches that agree with each frame's pose."
-    html += figure_html(figures.timeline_figure(lines), f"tracking of {name}", caption, key + "k")
+    right = figure_html(figures.timeline_figure(lines), f"tracking of {name}", caption, key + "k")
     if series:
-        caption = (
-            "Distance from the true position after Sim3 alignment, frame by frame; a gap is where there is no pose."
-        )
-        html += figure_html(figures.error_figure(series), f"position errors of {name}", caption, key + "e")
-    return html
+        caption = "Distance from the true position after Sim3 alignment, by frame; a gap is where there is no pose."
+        right += figure_html(figures.error_figure(series), f"position errors of {name}", caption, key + "e")
+    return (
+        f'<div class="grid"><div>{left}</div><div>{right}</div></div>' if left else f'<div class="grid">{right}</div>'
+    )
 
 
 def _path_caption(with_truth: bool, left_out: list[str]) -> str:
@@ -145,7 +138,7 @@ def _align(
 
 def depth_section(run: Run, width: int, most: int) -> str:
     """Return depth maps before and after beside image and truth, as pictures no wider than ``width`` pixels."""
-    found = [(loop_name(loop), run.samples(loop)) for loop in run.loops]
+    found = [(run.label(loop), run.samples(loop)) for loop in run.loops]
     known = [(label, samples) for label, samples in found if samples is not None and len(samples.keys)]
     chosen = known if len(known) < 2 else [known[0], known[-1]]
     rows = pictures.depth_rows(chosen, most)
@@ -157,28 +150,32 @@ def depth_section(run: Run, width: int, most: int) -> str:
     )
     lede = f"Predictions are median-scaled {scaled}; each frame has one colour scale for all its depth maps."
     html += f'<p class="lede">{lede}</p>'
-    for row in rows:
-        tiles = [_tile(row.image, "image", f"{row.sequence} frame {row.frame}".strip(), width)]
-        if row.truth is not None:
-            tiles.append(_tile(row.truth, "truth", "", width))
-        tiles += [_tile(p.picture, p.label, _abs_rel(p.abs_rel), width) for p in row.predictions]
-        tiles += [
-            _tile(p.error_picture, f"error, {p.label}", "", width)
-            for p in row.predictions
-            if p.error_picture is not None
-        ]
-        html += f'<figure class="frame"><div class="tiles">{"".join(tiles)}</div>{_bars(row)}</figure>'
-    return html
+    return html + "".join(_frame(row, width) for row in rows)
+
+
+def _frame(row: pictures.DepthRow, width: int) -> str:
+    """Return one frame's pictures: image, truth and predictions in a line, the errors below their predictions."""
+    tiles = [_tile(row.image, "image", f"{row.sequence} frame {row.frame}".strip(), width)]
+    if row.truth is not None:
+        tiles.append(_tile(row.truth, "truth", "", width))
+    start = len(tiles) + 1
+    tiles += [_tile(p.picture, p.label, _abs_rel(p.abs_rel), width) for p in row.predictions]
+    across = len(tiles)
+    errors = [(p.label, p.error_picture) for p in row.predictions if p.error_picture is not None]
+    tiles += [_tile(e, f"error, {n}", "", width, "" if i else "newline") for i, (n, e) in enumerate(errors)]
+    style = f"--across:{across};--start:{start}"
+    return f'<figure class="frame"><div class="tiles" style="{style}">{"".join(tiles)}</div>{_bars(row)}</figure>'
 
 
 def _abs_rel(value: float | None) -> str:
     return "" if value is None else f"Abs Rel {number(value)}"
 
 
-def _tile(picture: NDArray[np.uint8], name: str, detail: str, width: int) -> str:
+def _tile(picture: NDArray[np.uint8], name: str, detail: str, width: int, kind: str = "") -> str:
     data = base64.b64encode(pictures.to_jpeg(picture, width)).decode()
     text = f"<b>{escape(name)}</b>" + (f" {escape(detail)}" if detail else "")
-    return f'<div><img alt="{escape(name, quote=True)}" src="data:image/jpeg;base64,{data}"><p>{text}</p></div>'
+    image = f'<img alt="{escape(name, quote=True)}" src="data:image/jpeg;base64,{data}">'
+    return f'<div class="{kind}">{image}<p>{text}</p></div>'
 
 
 def _bars(row: pictures.DepthRow) -> str:
@@ -196,12 +193,16 @@ def _bars(row: pictures.DepthRow) -> str:
 
 def training_section(run: Run) -> str:
     """Return the loss curves of all loops."""
-    found = [(loop_name(loop), run.losses(loop)) for loop in run.loops]
-    figure = figures.loss_figure([(label, losses) for label, losses in found if losses])
-    if figure is None:
+    found = [(run.label(loop), run.losses(loop)) for loop in run.loops]
+    known = [(label, losses) for label, losses in found if losses]
+    drawn = [
+        figure_html(figures.loss_figure(known, term), f"training loss {term}", "", f"l{i}-")
+        for i, term in enumerate(figures.loss_terms(known))
+    ]
+    if not drawn:
         return ""
-    caption = "Training loss by term, step by step (thin) and smoothed. A dotted line is where a loop begins."
-    return f'<h2>Training</h2><div class="grid">{figure_html(figure, "training losses", caption, "l-")}</div>'
+    lede = "Loss by term, step by step (thin) and smoothed. A dotted line is where the next loop begins."
+    return f'<h2>Training</h2><p class="lede">{lede}</p><div class="grid medium">{"".join(drawn)}</div>'
 
 
 def figures_section(run: Run) -> str:

@@ -36,6 +36,9 @@ margin-left:8px;letter-spacing:0}
 .worse{color:var(--bad);background:var(--bad-bg)}
 .same{color:var(--muted);background:var(--flat-bg)}
 .grid{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr));gap:16px;align-items:start}
+.grid.small{grid-template-columns:repeat(auto-fill,minmax(min(100%,240px),1fr));margin-top:16px}
+.grid.medium{grid-template-columns:repeat(auto-fill,minmax(min(100%,330px),1fr))}
+.grid>div{min-width:0;display:grid;gap:16px}
 figure{margin:0;padding:14px 14px 10px;min-width:0}
 figure svg{display:block;width:100%;height:auto;max-height:78vh}
 figcaption{color:var(--muted);font-size:13.5px;line-height:1.45;margin-top:6px}
@@ -48,8 +51,9 @@ th:first-child{text-align:left;padding-left:16px}
 tbody th{font-weight:500}
 tbody tr:last-child>*{border-bottom:0}
 td b,th b{color:var(--good);font-weight:700}
-.note{color:var(--muted);font-size:13.5px;margin:4px 2px 0;max-width:90ch}
-.tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(46%,250px),1fr));gap:10px}
+.note{color:var(--muted);font-size:13.5px;margin:4px 2px 0;max-width:120ch}
+.tiles{display:grid;grid-template-columns:repeat(var(--across,4),1fr);gap:10px}
+.tiles .newline{grid-column-start:var(--start,3)}
 .tiles div{min-width:0}
 .tiles img{display:block;width:100%;height:auto;border-radius:7px;background:var(--flat-bg)}
 .tiles p{margin:3px 1px 0;font-size:13px;line-height:1.35;color:var(--muted)}
@@ -71,11 +75,17 @@ footer{color:var(--muted);font-size:13.5px;padding:36px 24px 48px}
 @media (max-width:560px){
 main,header,footer{padding-left:14px;padding-right:14px}header{padding-top:24px}h1{font-size:26px}
 .lead{font-size:17px}figure{padding:10px 8px 8px}th,td{padding:6px 9px}.card .value{font-size:25px}
-h2{margin-top:34px}}
+h2{margin-top:34px}.grid.small{grid-template-columns:1fr 1fr;gap:10px}
+.tiles{grid-template-columns:1fr 1fr;gap:8px}.tiles .newline{grid-column-start:auto}}
 @media print{
 :root{color-scheme:light;--page:#fff;--card:#fff;--ink:#000;--muted:#444;--grid:#ccc;--good:#0d5c39;--bad:#8a3511;
 --good-bg:#fff;--bad-bg:#fff;--flat-bg:#fff}body{font-size:11pt}main,header,footer{max-width:none;padding:0}
-figure,.card,.scroll,.frame{break-inside:avoid}h2,h3{break-after:avoid}.scroll{overflow:visible}table{font-size:8.5pt}
-th,td{padding:3px 5px;white-space:normal}pre{max-height:none;white-space:pre-wrap}.grid{grid-template-columns:1fr 1fr}
+figure,.card,.scroll,.frame{break-inside:avoid}h2,h3,.lede{break-after:avoid}
+.scroll{overflow:visible}table{font-size:8.5pt}
+th,td{padding:3px 5px;white-space:normal}pre{max-height:none;white-space:pre-wrap}
+.cards{grid-template-columns:repeat(4,1fr)}
+.grid{grid-template-columns:1fr 1fr}.grid.small{grid-template-columns:repeat(4,1fr)}
+.grid.medium{grid-template-columns:repeat(3,1fr)}.card .value{font-size:17pt}
+figcaption,.note,.card .basis{font-size:8.5pt}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}}
 """

@@ -140,18 +140,16 @@ def to_latex(table: Table) -> str:
     return "\n".join([*lines, "    \\bottomrule", "  \\end{tabular}", "\\end{table}", ""])
 
 
-def to_html(table: Table) -> str:
-    """Render as an HTML table that scrolls sideways where the screen is narrow."""
+def to_html(table: Table, caption: bool = True) -> str:
+    """Render as an HTML table that scrolls sideways where the screen is narrow, with its title or without."""
     head = "".join(f'<th scope="col">{escape(c.title)}</th>' for c in table.columns)
     body = ""
     for row in table.texts():
         cells = [f"<b>{escape(t)}</b>" if bold else escape(t) for t, bold in row]
         body += f'<tr><th scope="row">{cells[0]}</th>' + "".join(f"<td>{c}</td>" for c in cells[1:]) + "</tr>"
+    title = f"<caption>{escape(table.title)}</caption>" if caption else ""
     note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
-    return (
-        f'<div class="scroll"><table><caption>{escape(table.title)}</caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{note}"
-    )
+    return f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{note}'
 
 
 def transposed(table: Table) -> list[list[tuple[str, bool]]]:

@@ -117,7 +117,7 @@ def make_run(
         base = folder / "loops" / f"{k:02d}"
         for s, name in enumerate(sequences):
             poses = true_poses(seed=s)
-            result = slam_result(poses, timestamps, error, lost if k == 0 else (), seed=s)
+            result = slam_result(poses, timestamps, error, lost if k == 0 else (), seed=s + 10 * k)
             write_slam_folder(result, base / "slam" / name)
             figures = evaluate_trajectory(result.trajectory, FRAMES, poses if truth else None, timestamps)
             counts = {"keyframes": len(result.keyframes), "points": len(result.points), "lost": len(lost) * (k == 0)}

@@ -1,0 +1,90 @@
+import csv
+
+import pytest
+
+from prgbd.core.errors import DataError
+from prgbd.core.files import read_json, write_json
+from prgbd.report.__main__ import main
+from prgbd.report.ablation import ablation_table, find_runs, join, run_labels
+from tests.report.fake_run import make_run
+
+
+def override(run, *items):
+    (run / ".hydra").mkdir()
+    (run / ".hydra" / "overrides.yaml").write_text("".join(f"- {item}\n" for item in items))
+
+
+@pytest.fixture(scope="module")
+def multirun(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("multirun")
+    losses = {"all": 0.15, "no_depth_consistency": 0.2, "no_photometric": 0.25}
+    for number, (loss, error) in enumerate(losses.items()):
+        run = make_run(folder / str(number), depth_errors=(0.35, error))
+        override(run, "+slam=orb_gtsam", f"loss={loss}", "data.frames=20")
+    return folder
+
+
+def test_one_row_per_run_labelled_by_what_varied(multirun):
+    table = ablation_table(multirun)
+    titles = [c.title for c in table.columns]
+    rows = [dict(zip(titles, row, strict=True)) for row in table.rows]
+    assert [r["run"] for r in rows] == ["loss=all", "loss=no_depth_consistency", "loss=no_photometric"]
+    for number, row in enumerate(rows):
+        loops = read_json(multirun / str(number) / "summary.json")["loops"]
+        assert row["Abs Rel"] == loops[-1]["depth"]["abs_rel"]
+        assert row["ATE first (m)"] == loops[0]["pose"]["street-a"]["ate_rmse"]
+        assert row["loops"] == 1
+    assert [r["Sq Rel (paper)"] for r in rows] == [0.931, 0.958, 0.942]
+    assert table.best(titles.index("Abs Rel")) == rows[0]["Abs Rel"]
+    assert "KITTI Eigen" in table.note
+    assert "alignment sim3" in table.note
+
+
+def test_the_files_hold_the_same_table(multirun, capsys):
+    assert main([str(multirun)]) == 0
+    assert "no_photometric" in capsys.readouterr().out
+    paths = join(multirun)
+    assert [p.name for p in paths] == ["ablation.md", "ablation.csv", "ablation.tex"]
+    markdown, table, latex = (p.read_text() for p in paths)
+    assert "loss=no_depth_consistency" in markdown
+    assert r"loss=no\_depth\_consistency" in latex
+    rows = list(csv.DictReader(table.splitlines()))
+    assert len(rows) == 3
+    assert float(rows[0]["RMSE"]) == read_json(multirun / "0/summary.json")["loops"][-1]["depth"]["rmse"]
+
+
+def test_an_unfinished_run_is_a_row_without_figures(tmp_path):
+    run = make_run(tmp_path / "0")
+    override(run, "seed=0")
+    other = tmp_path / "1"
+    other.mkdir()
+    (other / "config.yaml").write_text("seed: 1\n")
+    override(other, "seed=1")
+    table = ablation_table(tmp_path)
+    assert [row[0] for row in table.rows] == ["seed=0", "seed=1"]
+    assert all(cell is None for cell in table.rows[1][1:])
+    assert "Did not finish: seed=1." in table.note
+
+
+def test_labels_fall_back_to_configuration_and_then_to_folders(tmp_path):
+    for name, weight in (("a", 1), ("b", 0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.yaml").write_text(
+            f"loss:\n  transfer: {weight}\noutput_dir: runs/{name}\nx: ${{y}}\n"
+        )
+    paths = [tmp_path / "a", tmp_path / "b"]
+    assert run_labels(paths) == ["loss.transfer=1", "loss.transfer=0"]
+    (tmp_path / "b" / "config.yaml").write_text("{broken: [")
+    assert run_labels(paths) == ["a", "b"]
+
+
+def test_runs_are_found_below_and_in_natural_order(tmp_path):
+    for name in ("x/10", "x/9", "y/z/2", ".hidden/1"):
+        write_json(tmp_path / name / "summary.json", {"loops": []})
+    write_json(tmp_path / "x/9/loops/summary.json", {})
+    assert [str(p.relative_to(tmp_path)) for p in find_runs(tmp_path)] == ["x/9", "x/10", "y/z/2"]
+
+
+def test_a_folder_without_runs_is_a_data_error(tmp_path):
+    with pytest.raises(DataError, match="no run below"):
+        join(tmp_path)

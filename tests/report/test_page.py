@@ -1,0 +1,239 @@
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from prgbd.core.errors import DataError
+from prgbd.core.files import read_json, write_json
+from prgbd.report.__main__ import main
+from prgbd.report.page import LARGEST, render, write_report
+from prgbd.report.reading import open_run, read_losses
+from tests.report.fake_run import make_run
+
+VOID = {"meta", "img", "br", "hr", "input", "link"}
+
+
+class Page(HTMLParser):
+    """Collects what the tests ask for and fails on tags that do not nest."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.open, self.links, self.headings, self.words, self.ids, self.counts = [], [], [], [], [], {}
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+        for name, value in attrs:
+            if name in ("src", "href", "xlink:href", "action", "data", "poster", "srcset"):
+                self.links.append(value)
+            if name == "id":
+                self.ids.append(value)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("h1", "h2", "h3"):
+            self.headings.append(data)
+        if "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def html(run_folder):
+    return render(open_run(run_folder))
+
+
+def test_the_page_has_every_section_in_order(html):
+    page = Page(html)
+    assert page.headings == [
+        "Self-improving SLAM and depth", "Loops", "Trajectories and tracking", "street-a", "Depth", "Training",
+        "All figures", "Set-up and files",
+    ]  # fmt: skip
+    assert "Over 2 loops the pose error fell from" in page.text
+    assert "147/150" in page.text
+    assert page.counts["svg"] == 4 + 3 + 5  # metrics, sequence, loss terms
+    assert page.counts["img"] >= 3 * 6
+    assert "depth_transfer: 1.0" in page.text
+    assert "pRGBD-Refined 1" in page.text  # two loops of one name are told apart
+
+
+def test_the_page_needs_nothing_from_outside(html):
+    page = Page(html)
+    outside = [link for link in page.links if not link.startswith(("data:", "#")) and ":" in link]
+    assert outside == []
+    assert page.counts.get("script", 0) == page.counts.get("link", 0) == page.counts.get("iframe", 0) == 0
+    style = html[html.index("<style>") : html.index("</style>")]
+    assert "@import" not in style
+    assert "url(" not in style
+    # The name spaces of SVG are names, not addresses that a browser opens.
+    assert set(re.findall(r'https?://[^"\s<]+', html)) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+
+
+def test_references_inside_the_page_resolve_and_ids_are_unique(html):
+    page = Page(html)
+    assert len(page.ids) == len(set(page.ids))
+    wanted = {link[1:] for link in page.links if link.startswith("#")} | set(re.findall(r"url\(#([^)]+)\)", html))
+    assert wanted
+    assert wanted <= set(page.ids)
+
+
+def test_file_links_lead_to_files(html, run_folder):
+    links = [link for link in Page(html).links if not link.startswith(("data:", "#"))]
+    assert "loops/00/slam/street-a/map.ply" in links
+    assert all((run_folder / link).is_file() for link in links)
+
+
+def test_writing_is_repeatable(run_folder):
+    path = write_report(run_folder)
+    assert path == run_folder / "report.html"
+    first = path.read_bytes()
+    assert len(first) < LARGEST
+    assert write_report(run_folder).read_bytes() == first
+    path.unlink()
+
+
+def test_a_slam_run_without_depth_or_truth(tmp_path):
+    run = make_run(tmp_path, pose_errors=(2.0,), depth_errors=None, truth=False, task="slam")
+    page = Page(write_report(run).read_text())
+    assert page.headings == [
+        "SLAM",
+        "Loops",
+        "Trajectories and tracking",
+        "street-a",
+        "All figures",
+        "Set-up and files",
+    ]
+    assert "There is no ground truth" in page.text
+    assert "map units" in page.text
+
+
+def test_several_sequences_and_a_depth_without_truth(tmp_path):
+    run = make_run(tmp_path, sequences=("street-a", "street-b"), truth=False)
+    page = Page(write_report(run).read_text())
+    assert {"street-a", "street-b", "Depth"} <= set(page.headings)
+    assert "there is no truth" in page.text
+    assert "relative error" not in page.text
+
+
+def test_missing_and_broken_parts_leave_the_rest(tmp_path):
+    run = make_run(tmp_path)
+    broken = run / "loops/00/slam/street-a/result.npz"
+    broken.write_bytes(broken.read_bytes()[:100])
+    (run / "loops/00/training/losses.csv").write_text("step,total\n0,abc\n")
+    (run / "loops/01/depth/samples.npz").write_bytes(b"PK")
+    (run / "truth/street-a.tum").write_text("nonsense\n")
+    (run / "config.yaml").unlink()
+    page = Page(write_report(run).read_text())
+    assert "Not shown, because it could not be read" in page.text
+    for name in ("result.npz", "losses.csv", "samples.npz", "street-a.tum"):
+        assert name in page.text
+    assert "Trajectories and tracking" in page.headings
+    assert "Depth" in page.headings
+    shutil.rmtree(run / "loops")
+    page = Page(write_report(run).read_text())
+    assert "Loops" in page.headings
+    assert "Trajectories and tracking" not in page.headings
+
+
+def test_names_from_the_data_cannot_inject(tmp_path):
+    run = make_run(tmp_path, pose_errors=(1.0,), depth_errors=None, data='<script>alert("x")</script>')
+    summary = read_json(run / "summary.json")
+    pose = summary["loops"][0]["pose"].pop("street-a")
+    summary["loops"][0]["pose"]["<img src=x>"] = pose
+    summary["loops"][0]["name"] = "</style><b>"
+    write_json(run / "summary.json", summary)
+    page = Page(write_report(run).read_text())
+    assert page.counts.get("script", 0) == 0
+    assert "x" not in page.links
+
+
+def test_a_lost_run_is_reported(tmp_path):
+    run = make_run(tmp_path, pose_errors=(1.0,), depth_errors=None, lost=range(2, 150), task="slam")
+    page = Page(write_report(run).read_text())
+    assert "SLAM found a pose for 2 of 150 frames" in page.text
+    assert "Only 2 of the poses" in page.text
+    assert "Too few poses to draw: pRGBD-Initial" in page.text
+
+
+def test_large_pictures_are_made_smaller_until_the_page_is_small(tmp_path, monkeypatch):
+    run = make_run(tmp_path)
+    rng = np.random.default_rng(0)
+    for k in range(2):
+        path = run / f"loops/{k:02d}/depth/samples.npz"
+        np.savez(
+            path,
+            images=rng.integers(0, 256, (4, 400, 600, 3), np.uint8),
+            depth=rng.uniform(1, 50, (4, 400, 600)).astype(np.float32),
+            frame_index=np.arange(4),
+            sequence=np.array(["a"] * 4),
+        )
+    monkeypatch.setattr("prgbd.report.page.LARGEST", 700_000)
+    assert write_report(run).stat().st_size < 700_000
+
+
+def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
+    with pytest.raises(DataError, match=r"summary\.json"):
+        write_report(tmp_path)
+    assert main([str(tmp_path)]) == 2
+    assert "no run below" in capsys.readouterr().err
+    (tmp_path / "summary.json").write_text("[1, 2]")
+    assert main([str(tmp_path)]) == 2
+    assert "not a run summary" in capsys.readouterr().err
+
+
+def test_the_command_rebuilds_report_and_metrics(tmp_path, capsys):
+    run = make_run(tmp_path / "r")
+    assert main([str(run)]) == 0
+    assert (run / "report.html").is_file()
+    assert (run / "metrics.csv").is_file()
+    out = capsys.readouterr().out
+    assert "pRGBD-Initial" in out
+    assert "report.html" in out
+
+
+def test_a_half_written_last_line_of_losses_is_dropped(tmp_path):
+    (tmp_path / "l.csv").write_text("step,total,photometric\n0,1.5,\n1,1.2")
+    losses = read_losses(tmp_path / "l.csv")
+    np.testing.assert_array_equal(losses["total"], [1.5])
+    assert np.isnan(losses["photometric"]).all()
+    (tmp_path / "l.csv").write_text("")
+    assert read_losses(tmp_path / "l.csv") == {}
+
+
+def test_a_browser_draws_the_page(run_folder, tmp_path):
+    browser = next((b for b in ("chromium", "chromium-browser", "google-chrome") if shutil.which(b)), None)
+    if browser is None:
+        pytest.skip("no headless browser (chromium) is installed")
+    import cv2
+
+    page = tmp_path / "report.html"
+    page.write_text(render(open_run(run_folder)))
+    for width in (1280, 500):
+        shot = tmp_path / f"{width}.png"
+        command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},2000"]
+        result = subprocess.run(
+            [*command, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}", page.as_uri()],
+            capture_output=True, timeout=120, check=False,
+        )  # fmt: skip
+        if not shot.is_file():
+            pytest.skip(f"{browser} does not run here: {result.stderr.decode()[-200:]}")
+        image = cv2.imread(str(shot))
+        assert image.shape[1] == width
+        assert image.std() > 10

@@ -1,0 +1,81 @@
+import copy
+
+import pytest
+
+from prgbd.core.files import read_json
+from prgbd.report.words import describe, number, pose_change
+
+
+@pytest.fixture
+def summary(run_folder):
+    return copy.deepcopy(read_json(run_folder / "summary.json"))
+
+
+def only(summary, *loops):
+    summary["loops"] = [summary["loops"][k] for k in loops]
+    return summary
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (0, "0"), (0.5178, "0.518"), (12.345, "12.3"), (145.23, "145"), (1234.5, "1,234"),
+     (0.00253, "0.00253"), (1.5e-6, "1.50e-06"), (-0.25, "-0.250"), (99.96, "100.0")],
+)  # fmt: skip
+def test_numbers_have_three_significant_digits(value, text):
+    assert number(value) == text
+
+
+def test_better_is_said_with_what_the_figures_rest_on(summary):
+    text = describe(summary)
+    assert text[0].startswith("Over 2 loops the pose error fell from ")
+    assert "ATE RMSE, Sim3 alignment, 147/150 frames before and 150/150 after" in text[0]
+    assert " and the depth error fell from " in text[0]
+    assert "Abs Rel, 0.001–80 m cap, median scaling, 3 images" in text[0]
+    assert "The two pose errors rest on different frames, so compare them with care." in text
+    assert any(s.startswith("Why it ended: the most loops") for s in text)
+    assert any("keeps the result of loop 2" in s for s in text)
+
+
+def test_worse_is_called_worse_and_the_same_is_called_the_same(summary):
+    first = only(summary, 0, 1)
+    worse = copy.deepcopy(first)
+    worse["loops"].reverse()
+    text = describe(worse)[0]
+    assert text.startswith("Over 1 loop the pose error rose from ")
+    assert "the depth error rose from" in text
+    assert pose_change(worse).verdict == "worse"
+    same = copy.deepcopy(first)
+    same["loops"][1]["pose"] = same["loops"][0]["pose"]
+    same["loops"][1]["depth"]["abs_rel"] = same["loops"][0]["depth"]["abs_rel"] * 1.004
+    text = describe(same)[0]
+    assert "pose error stayed at" in text
+    assert "depth error stayed at" in text
+
+
+def test_a_better_loop_in_between_is_named(summary):
+    summary["loops"][1]["pose"]["street-a"]["ate_rmse"] = 0.001
+    assert "The lowest pose error was 0.00100 m, in loop 1." in describe(summary)
+
+
+def test_means_take_only_sequences_that_have_both(summary):
+    for loop in summary["loops"]:
+        loop["pose"]["b"] = dict(loop["pose"]["street-a"])
+    summary["loops"][0]["pose"]["b"]["ate_rmse"] = None
+    change = pose_change(summary)
+    assert change.before == summary["loops"][0]["pose"]["street-a"]["ate_rmse"]
+    assert "Without an error in both loops, and so not in the mean: b." in describe(summary)
+
+
+def test_without_truth_the_reason_is_given(summary):
+    only(summary, 0)
+    summary["loops"][0]["depth"] = None
+    summary["loops"][0]["pose"]["street-a"] |= {"ate_rmse": None, "reason": "There is no ground truth."}
+    text = " ".join(describe(summary))
+    assert "SLAM found a pose for 147 of 150 frames." in text
+    assert "No pose error (pRGBD-Initial, street-a): There is no ground truth." in text
+    assert "fell" not in text
+
+
+def test_a_run_without_loops_is_described():
+    assert describe({"loops": []}) == ["The run has not finished a loop yet."]
+    assert describe({}) == ["The run has not finished a loop yet."]
