@@ -16,7 +16,7 @@ CHI2_MONO = 5.991
 CHI2_STEREO = 7.815
 
 # Chi-square that a point behind the camera counts for: constant, so steps that push points back there lose.
-BEHIND = 1e4
+_BEHIND = 1e6
 _ROUNDS = 4
 _ITERATIONS = 10
 # Relative decrease of the cost at which a round has converged.
@@ -70,7 +70,7 @@ def optimise_pose(
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
 def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, camera: FloatArray) -> float:
-    """Return the chi-square of one observation; infinite behind the camera."""
+    """Return the chi-square of one observation ``(u, v, u_right or -1)``; infinite behind the camera."""
     z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
     if not z > 1e-9:
         return math.inf
@@ -87,9 +87,11 @@ def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, cam
 
 
 @numba.njit(cache=True, nogil=True)
-def huber(chi2: float, limit: float) -> float:
-    """Return Huber's rho of a chi-square whose kernel turns linear at ``limit``."""
-    return chi2 if chi2 <= limit else 2.0 * math.sqrt(limit * chi2) - limit
+def penalty(chi2: float, stereo: bool, robust: bool) -> float:
+    """Return what a chi-square adds to the cost: itself, or Huber's rho of it, finite even behind the camera."""
+    chi2 = chi2 if chi2 < math.inf else _BEHIND
+    limit = CHI2_STEREO if stereo else CHI2_MONO
+    return chi2 if chi2 <= limit or not robust else 2.0 * math.sqrt(limit * chi2) - limit
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
@@ -106,8 +108,8 @@ def _cost(
     for k in range(len(xyz)):
         if not active[k]:
             continue
-        chi2 = min(chi2_of(pose, xyz[k], uvr[k], inv_sigma2[k], camera), BEHIND)
-        total += huber(chi2, CHI2_STEREO if uvr[k, 2] >= 0.0 else CHI2_MONO) if robust else chi2
+        chi2 = chi2_of(pose, xyz[k], uvr[k], inv_sigma2[k], camera)
+        total += penalty(chi2, uvr[k, 2] >= 0.0, robust)
     return total
 
 

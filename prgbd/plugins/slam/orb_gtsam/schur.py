@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.lie import compose_into, exp_se3_into, orthonormalise
-from prgbd.plugins.slam.orb_gtsam.pose_optimisation import BEHIND, CHI2_MONO, CHI2_STEREO, chi2_of, huber
+from prgbd.plugins.slam.orb_gtsam.pose_optimisation import CHI2_MONO, CHI2_STEREO, chi2_of, penalty
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,8 +39,8 @@ def total_cost(
     total = 0.0
     for m in range(len(kf)):
         if active[m]:
-            chi2 = min(chi2_of(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera), BEHIND)
-            total += huber(chi2, CHI2_STEREO if uvr[m, 2] >= 0.0 else CHI2_MONO) if robust else chi2
+            chi2 = chi2_of(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera)
+            total += penalty(chi2, uvr[m, 2] >= 0.0, robust)
     return 0.5 * total
 
 
