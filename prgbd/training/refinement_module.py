@@ -16,7 +16,7 @@ from prgbd.training.augmentation import augmented
 from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.refinement_data import RefinementBatch
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
-from prgbd.training.sparse_losses import depth_consistency, depth_transfer, sample_patches
+from prgbd.training.sparse_losses import depth_consistency, depth_transfer
 from prgbd.training.warping import invert_rigid
 
 _BATCHNORM = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d, nn.SyncBatchNorm)
@@ -107,17 +107,21 @@ class DepthRefinement(lightning.LightningModule):
 
     def _transfer(self, batch: RefinementBatch, depth: Tensor) -> Tensor:
         """T_{c,k1} + T_{c,k2} + T_{k1,k2}; ``depth`` holds the maps of c, k1 and k2 one after the other."""
-        patches = []
-        for view, d in enumerate(depth.chunk(3)):
-            uv, K = points_at(batch, d, view)
-            patches.append(sample_patches(d, uv, self.settings.patch))
+        depths = depth.chunk(3)
+        points = [points_at(batch, d, view) for view, d in enumerate(depths)]
         eye = torch.eye(4, device=depth.device, dtype=batch.kTc.dtype).expand_as(batch.kTc[:, 0])
         vTc = [eye, batch.kTc[:, 0], batch.kTc[:, 1]]
         total = depth.new_zeros(())
         for a, b in ((0, 1), (0, 2), (1, 2)):
-            bTa = vTc[b] @ invert_rigid(vTc[a])
             total = total + depth_transfer(
-                patches[a], patches[b], K, bTa, invert_rigid(bTa), batch.mask, self.settings.reduction
+                (depths[a], depths[b]),
+                (points[a][0], points[b][0]),
+                points[a][1],
+                vTc[b] @ invert_rigid(vTc[a]),
+                batch.mask,
+                patch=self.settings.patch,
+                matching=self.settings.matching,
+                reduction=self.settings.reduction,
             )
         return total
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from prgbd.core.errors import ConfigError
-from prgbd.training.sparse_losses import REDUCTIONS
+from prgbd.training.sparse_losses import MATCHINGS, REDUCTIONS
 
 TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
 
@@ -23,6 +23,7 @@ class RefinementSettings:
         epochs: Passes over the keyframes.
         batch_size: Keyframes per step (pre-training's 12); three images per keyframe pass through the network.
         patch: Odd side of the patch around a keypoint that depth transfer compares, pixels of the network's input.
+        matching: ``projected`` or ``offset``, which pixels of two patches are compared; see ``depth_transfer``.
         reduction: ``mean`` or ``sum`` over points and patch pixels in depth transfer; see ``depth_transfer``.
         automask: Leave out what looks the same without motion (Monodepth2).
         augment: Mirror half of the samples and jitter the colours of half of them.
@@ -54,6 +55,7 @@ class RefinementSettings:
     epochs: int = 1
     batch_size: int = 12
     patch: int = 5
+    matching: str = "projected"
     reduction: str = "mean"
     automask: bool = True
     augment: bool = False
@@ -87,6 +89,8 @@ class RefinementSettings:
             raise ConfigError(f"training.patch is {self.patch}; the side of a patch must be an odd number of pixels.")
         if self.reduction not in REDUCTIONS:
             raise ConfigError(f"training.reduction is '{self.reduction}'; choose one of {', '.join(REDUCTIONS)}.")
+        if self.matching not in MATCHINGS:
+            raise ConfigError(f"training.matching is '{self.matching}'; choose one of {', '.join(MATCHINGS)}.")
         if not 0 <= self.val_fraction <= 0.5:
             raise ConfigError(f"training.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")
 

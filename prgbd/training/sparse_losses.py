@@ -11,14 +11,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from prgbd.training.warping import NEAREST, invert_rigid
+
 REDUCTIONS = ("mean", "sum")
+MATCHINGS = ("projected", "offset")
 
 
 class Patches(NamedTuple):
     """Depth around keypoints.
 
     Attributes:
-        pixels: (B, N, P, 2) positions, P = patch * patch, row by row.
+        pixels: (B, N, P, 2) positions, P = patch * patch, row by row; the keypoint itself is the middle one.
         depth: (B, N, P) depth there.
         inside: (B, N, P) bool, whether the position lies within the image.
     """
@@ -28,34 +31,48 @@ class Patches(NamedTuple):
     inside: Tensor
 
 
+def sample_depth(depth: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
+    """Read a depth map between its pixels.
+
+    It is the *inverse* depth that is interpolated bilinearly: that is exact on planes, and at an edge it does not
+    invent depth far behind the front.
+
+    Args:
+        depth: (B, 1, H, W), positive.
+        pixels: (B, N, P, 2), integers at pixel centres.
+
+    Returns:
+        Depth (B, N, P), differentiable in both arguments, and whether the pixel lies within the image, (B, N, P) bool.
+    """
+    height, width = depth.shape[-2:]
+    size = pixels.new_tensor([width - 1, height - 1])
+    grid = (2 * pixels / size - 1).to(depth.dtype)
+    inverse = F.grid_sample(1 / depth, grid, mode="bilinear", padding_mode="border", align_corners=True)
+    return 1 / inverse[:, 0], ((pixels >= 0) & (pixels <= size)).all(dim=-1)
+
+
 def sample_patches(depth: Tensor, uv: Tensor, patch: int) -> Patches:
     """Read the depth of the ``patch`` x ``patch`` pixel grid centred on each keypoint.
 
     Keypoints lie between pixels (SLAM works at another image size), so depth is interpolated at the keypoint and at
-    whole-pixel offsets from it. It is the *inverse* depth that is interpolated bilinearly: that is exact on planes, and
-    at an edge it does not invent depth far behind the front.
+    whole-pixel offsets from it.
 
     Args:
         depth: (B, 1, H, W), positive.
-        uv: (B, N, 2) keypoints, pixels of this depth map with integers at pixel centres.
+        uv: (B, N, 2) keypoints, pixels of this depth map.
         patch: Odd side length; 1 for the keypoint alone.
 
     Returns:
         The patches; differentiable in ``depth``.
     """
-    height, width = depth.shape[-2:]
     steps = torch.arange(patch, device=uv.device, dtype=uv.dtype) - patch // 2
     dv, du = torch.meshgrid(steps, steps, indexing="ij")
     pixels = uv[:, :, None] + torch.stack([du.reshape(-1), dv.reshape(-1)], dim=1)
-    size = uv.new_tensor([width - 1, height - 1])
-    grid = (2 * pixels / size - 1).to(depth.dtype)
-    inverse = F.grid_sample(1 / depth, grid, mode="bilinear", padding_mode="border", align_corners=True)
-    inside = ((pixels >= 0) & (pixels <= size)).all(dim=-1)
-    return Patches(pixels, 1 / inverse[:, 0], inside)
+    return Patches(pixels, *sample_depth(depth, pixels))
 
 
-def transferred_depth(patches: Patches, K: Tensor, bTa: Tensor) -> Tensor:
-    """Depth of the patch points as seen from another camera: the third coordinate of ``bTa (d K^-1 [p, 1])``.
+def transferred(patches: Patches, K: Tensor, bTa: Tensor) -> Tensor:
+    """Move the patch points into another camera: ``bTa (d K^-1 [p, 1])``.
 
     Args:
         patches: Patches in camera a.
@@ -63,49 +80,89 @@ def transferred_depth(patches: Patches, K: Tensor, bTa: Tensor) -> Tensor:
         bTa: (B, 4, 4) transform from camera a to camera b.
 
     Returns:
-        (B, N, P); negative for points behind camera b.
+        (B, N, P, 3) points in camera b; z is negative behind it.
     """
     focal = torch.stack([K[:, 0, 0], K[:, 1, 1]], dim=1)[:, None, None]
     xy = (patches.pixels - K[:, None, None, :2, 2]) / focal
-    row = bTa[:, 2, :, None, None]
-    rotated = row[:, 0] * xy[..., 0] + row[:, 1] * xy[..., 1] + row[:, 2]
-    return patches.depth * rotated + row[:, 3]
+    points = torch.cat([xy, torch.ones_like(xy[..., :1])], dim=-1) * patches.depth[..., None]
+    return points @ bTa[:, None, :3, :3].transpose(2, 3) + bTa[:, None, None, :3, 3]
+
+
+def matched_pixels(moved: Tensor, uv: Tensor, K: Tensor) -> Tensor:
+    """Where the pixels of a patch should lie in the other image: around the tracked keypoint, shifted as they project.
+
+    The middle pixel is matched by SLAM, not by depth, so its match is ``uv``; the others keep their distance from it as
+    the predicted depth and the motion imply. No gradient passes: a match is a measurement.
+
+    Args:
+        moved: (B, N, P, 3) patch points in the other camera.
+        uv: (B, N, 2) the keypoints in the other image, pixels.
+        K: (B, 3, 3) intrinsics, pixels.
+
+    Returns:
+        (B, N, P, 2) pixels of the other image.
+    """
+    with torch.no_grad():
+        focal = torch.stack([K[:, 0, 0], K[:, 1, 1]], dim=1)[:, None, None]
+        projected = moved[..., :2] / moved[..., 2:].clamp(min=NEAREST) * focal
+        middle = projected.shape[2] // 2
+        return uv[:, :, None] + projected - projected[:, :, middle : middle + 1]
 
 
 def depth_transfer(
-    a: Patches, b: Patches, K: Tensor, bTa: Tensor, aTb: Tensor, mask: Tensor, reduction: str = "mean"
+    depths: tuple[Tensor, Tensor],
+    uv: tuple[Tensor, Tensor],
+    K: Tensor,
+    bTa: Tensor,
+    mask: Tensor,
+    *,
+    patch: int = 5,
+    matching: str = "projected",
+    reduction: str = "mean",
 ) -> Tensor:
-    """Symmetric depth transfer between two keyframes (paper eq. for T_{c<->k1}).
+    """Symmetric depth transfer between two keyframes a and b (paper eq. for T_{c<->k1}).
 
-    A point i that both keyframes see sits at keypoint p_a and p_b. Each pixel p_a + o of its patch in a is
-    back-projected with the predicted depth of a, moved to b, and its depth there is compared with the predicted depth
-    of b at the *corresponding offset* p_b + o; and the other way round::
+    A point that both keyframes see sits at keypoint p_a and p_b. Each pixel p_a + o of the patch around it in a is
+    back-projected with the predicted depth of a and moved to b; its depth there is compared with the predicted depth of
+    b at the matching pixel q(o); and the same from b to a::
 
-        |d_{a->b}(p_a + o) - d_b(p_b + o)| + |d_{b->a}(p_b + o) - d_a(p_a + o)|
+        |d_{a->b}(p_a + o) - d_b(q_b(o))| + |d_{b->a}(p_b + o) - d_a(q_a(o))|
 
-    This is the reading of "every pixel of the 5x5 patch around each keypoint" that needs no second search for
-    correspondences; it takes the patch to look alike in both views, which its few pixels make harmless, and it is exact
-    for o = 0. Gradients reach both depth maps. Offsets outside of either image are left out.
+    The paper sums over every pixel of the 5x5 patch around each keypoint and leaves open which pixel matches which.
+    ``projected`` matches the keypoint with its tracked partner, q(0) = p_b, and its neighbours as they project relative
+    to it (``matched_pixels``). ``offset`` takes the same offset, q(o) = p_b + o. The two agree for ``patch=1``. Where
+    the view changes much from keyframe to keyframe, the same offset is another surface point: on a synthetic street at
+    192x128 the median of the ``offset`` error is 0.42 m for the *true* depth and 0.50 m for one that is 10 % too large,
+    against 0.01 m and 0.41 m for ``projected``, hence the default.
 
-    The paper sums over points and patch pixels, so that the weight of an image grows with its number of keypoints.
-    ``mean`` divides by that number, which makes one weight mean the same for every image, sequence and patch size;
-    ``sum`` is the literal form.
+    The paper sums over points and pixels, so that an image weighs more the more keypoints it has. ``mean`` divides by
+    their number, which makes one weight mean the same for every image, sequence and patch size; ``sum`` is the literal
+    form. Gradients reach both depth maps. Pixels outside of either image are left out.
 
     Args:
-        a: Patches in the first keyframe.
-        b: Patches in the second keyframe, same points in the same order.
+        depths: (B, 1, H, W) predicted depth of a and of b.
+        uv: (B, N, 2) keypoints in a and in b, pixels of the depth maps, same points in the same order.
         K: (B, 3, 3) intrinsics of both, pixels.
         bTa: (B, 4, 4) transform from a to b.
-        aTb: (B, 4, 4) transform from b to a.
         mask: (B, N) bool, real points.
+        patch: Odd side of the patch, pixels of the depth map.
+        matching: ``projected`` or ``offset``.
         reduction: ``mean`` or ``sum`` over the points and patch pixels of one image pair.
 
     Returns:
         Scalar in the unit of the depth: mean over the batch, where a pair without points counts 0.
     """
-    error = (transferred_depth(a, K, bTa) - b.depth).abs() + (transferred_depth(b, K, aTb) - a.depth).abs()
-    used = mask[:, :, None] & a.inside & b.inside
-    return _reduce(error, used, reduction)
+    total = depths[0].new_zeros(())
+    for a, b, T in ((0, 1, bTa), (1, 0, invert_rigid(bTa))):
+        patches = sample_patches(depths[a], uv[a], patch)
+        moved = transferred(patches, K, T)
+        if matching == "projected":
+            there, inside = sample_depth(depths[b], matched_pixels(moved, uv[b], K))
+        else:
+            _, there, inside = sample_patches(depths[b], uv[b], patch)
+        used = mask[:, :, None] & patches.inside & inside
+        total = total + _reduce((moved[..., 2] - there).abs(), used, reduction)
+    return total
 
 
 def depth_consistency(depth: Tensor, uv: Tensor, slam_depth: Tensor, mask: Tensor) -> Tensor:

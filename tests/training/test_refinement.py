@@ -222,6 +222,7 @@ def test_slam_of_another_size_is_refused(wall, tmp_path):
         {"learning_rate": 0},
         {"patch": 4},
         {"reduction": "max"},
+        {"matching": "guess"},
         {"val_fraction": 0.9},
         {"epochs": 0},
         {"workers": -1},
@@ -295,7 +296,7 @@ def test_terms_vanish_at_the_truth(wall):
     sample = samples_of(wall, TiltNet())
     frames = sample.supervision.samples[2].frames
     depth = truth(sequence, frames[0], frames[3], frames[4])
-    settings = replace(QUICK, patch=1, automask=False)
+    settings = replace(QUICK, automask=False)
 
     def terms(factor, batch=None):
         module = DepthRefinement(Oracle(depth * factor), settings)

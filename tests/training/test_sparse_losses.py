@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from prgbd.training.sparse_losses import depth_consistency, depth_transfer, sample_patches, transferred_depth
+from prgbd.training.sparse_losses import depth_consistency, depth_transfer, matched_pixels, sample_patches, transferred
 from prgbd.training.warping import invert_rigid, transformation_from_parameters
 
 K = torch.tensor([[[20.0, 0, 9.5], [0, 20.0, 7.5], [0, 0, 1]]]).double()
@@ -34,9 +34,9 @@ def patches(depth, uv, patch=5):
 
 
 def both_ways(depth_a, depth_b, uv_a, uv_b, bTa, mask=None, **options):
-    a, b = patches(depth_a, uv_a), patches(depth_b, uv_b)
-    mask = torch.ones(a.depth.shape[:2], dtype=torch.bool) if mask is None else mask
-    return depth_transfer(a, b, K, bTa, invert_rigid(bTa), mask, **options)
+    uv = torch.tensor(uv_a).double(), torch.tensor(uv_b).double()
+    mask = torch.ones(uv[0].shape[:2], dtype=torch.bool) if mask is None else mask
+    return depth_transfer((depth_a, depth_b), uv, K, bTa, mask, **options)
 
 
 def test_patches_hold_the_neighbourhood_row_by_row():
@@ -77,25 +77,43 @@ def test_transfer_of_a_wall_ahead_by_hand():
 def test_transfer_of_a_turned_camera_by_hand():
     """A camera turned by 0.1 rad about y sees the point straight ahead of the other at depth 5 cos(0.1)."""
     bTa = transformation_from_parameters(torch.tensor([[0.0, 0.1, 0.0]]).double(), torch.zeros(1, 3).double())
-    depth = transferred_depth(patches(flat(5.0), [[[9.5, 7.5]]], 1), K, bTa)
-    assert depth.item() == pytest.approx(5 * torch.cos(torch.tensor(0.1)).item(), rel=1e-6)
+    moved = transferred(patches(flat(5.0), [[[9.5, 7.5]]], 1), K, bTa)
+    assert moved[..., 2].item() == pytest.approx(5 * torch.cos(torch.tensor(0.1)).item(), rel=1e-6)
 
 
-def test_transfer_of_a_slanted_plane_vanishes_at_the_true_depth():
-    """At corresponding keypoints it vanishes; the rest of the patch, seen under another angle, leaves only a little."""
-    wTa, wTb = translation(), translation(x=0.3, y=-0.1)
+def slanted_pair():
+    """Two views of the slanted plane with matching keypoints: depth maps, keypoints, and the transform."""
+    wTa, wTb = translation(), translation(x=0.3, y=-0.1, z=0.4)
     depth_a, depth_b = plane(wTa), plane(wTb)
     bTa = invert_rigid(wTb) @ wTa
     uv_a = torch.tensor([[[8.2, 6.9], [11.0, 9.4]]]).double()
-    a = sample_patches(depth_a, uv_a, 1)
-    points = torch.cat([(a.pixels[:, :, 0] - K[:, :2, 2]) / 20 * a.depth, a.depth], dim=-1) + bTa[:, None, :3, 3]
+    points = transferred(sample_patches(depth_a, uv_a, 1), K, bTa)[:, :, 0]
     uv_b = points[..., :2] / points[..., 2:] * 20 + K[:, :2, 2]
-    mask = torch.ones(1, 2, dtype=torch.bool)
-    keypoints = depth_transfer(a, sample_patches(depth_b, uv_b, 1), K, bTa, invert_rigid(bTa), mask)
-    assert keypoints.item() == pytest.approx(0, abs=1e-12)
-    five = both_ways(depth_a, depth_b, uv_a.tolist(), uv_b.tolist(), bTa)
-    assert 0 < five.item() < 0.02
-    assert both_ways(depth_a * 1.1, depth_b, uv_a.tolist(), uv_b.tolist(), bTa).item() > 0.5
+    return depth_a, depth_b, uv_a.tolist(), uv_b.tolist(), bTa
+
+
+def test_transfer_of_a_slanted_plane_vanishes_at_the_true_depth():
+    """Moved neighbours hit the same surface points; neighbours at the same offset do not quite."""
+    depth_a, depth_b, *rest = slanted_pair()
+    assert both_ways(depth_a, depth_b, *rest, patch=1).item() == pytest.approx(0, abs=1e-6)
+    assert both_ways(depth_a, depth_b, *rest, patch=5).item() == pytest.approx(0, abs=1e-6)
+    assert 0.01 < both_ways(depth_a, depth_b, *rest, patch=5, matching="offset").item() < 0.2
+    assert both_ways(depth_a * 1.1, depth_b, *rest).item() > 0.5
+
+
+def test_both_matchings_agree_on_the_keypoint_itself():
+    depth_a, depth_b, *rest = slanted_pair()
+    losses = [both_ways(depth_a * 1.2, depth_b, *rest, patch=1, matching=m).item() for m in ("projected", "offset")]
+    assert losses[0] == losses[1] > 0.5
+
+
+def test_neighbours_are_matched_around_the_tracked_keypoint():
+    """A wall at 4 m seen from 5 m is magnified by 5/4 about the keypoint, wherever the keypoint was tracked to."""
+    moved = transferred(patches(flat(5.0), [[[9.0, 7.0]]], 3), K, translation(z=-1.0))
+    found = matched_pixels(moved, torch.tensor([[[3.0, 4.0]]]).double(), K)
+    assert found[0, 0, 4].tolist() == [3.0, 4.0]
+    assert found[0, 0, 5].tolist() == pytest.approx([4.25, 4.0])
+    assert found[0, 0, 0].tolist() == pytest.approx([1.75, 2.75])
 
 
 def test_padding_and_empty_images_do_not_count():
@@ -130,11 +148,12 @@ def test_gradients_agree_with_finite_differences():
     )
     intrinsics = K.expand(2, 3, 3)
 
-    def transfer(a, b, reduction):
-        first, second = sample_patches(a, uv_a, 5), sample_patches(b, uv_b, 5)
-        return depth_transfer(first, second, intrinsics, bTa, invert_rigid(bTa), mask, reduction)
+    def transfer(a, b, **options):
+        return depth_transfer((a, b), (uv_a, uv_b), intrinsics, bTa, mask, **options)
 
-    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, "mean"), (a, b))
-    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, "sum"), (a, b))
+    # Matches are measurements without gradient, which finite differences cannot know: so there the keypoint alone.
+    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, matching="projected", patch=1), (a, b))
+    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, matching="offset"), (a, b))
+    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, matching="offset", reduction="sum"), (a, b))
     slam = torch.rand(2, 3, dtype=torch.float64) + 5
     assert torch.autograd.gradcheck(lambda a: depth_consistency(a, uv_a, slam, mask), a)
