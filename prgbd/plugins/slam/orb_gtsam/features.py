@@ -106,7 +106,7 @@ class OrbExtractor:
         v = np.clip(pixel[:, 1], 0, self.height - 1)
         measured = np.zeros(len(uv), np.float32) if depth is None else depth[v, u].astype(np.float32)
         measured[~np.isfinite(measured) | (measured <= 0)] = 0
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             u_right = np.where(measured > 0, uv[:, 0] - np.float32(bf) / measured, np.float32(-1)).astype(np.float32)
         return Features(
             uv,

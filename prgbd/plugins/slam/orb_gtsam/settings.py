@@ -30,6 +30,7 @@ class Settings:
         cell_size: Side of the FAST cells in pixels of the level.
         init_keypoints: Keypoints needed to start, or "auto": half of ``features``, at most 500 (ORB-SLAM2), and in
             proportion to the area below 640x480.
+        init_matches: Matches (and keypoints) that the two first frames of a monocular map need.
         close_depth: Depths up to this many baselines count as close (ThDepth).
         distance_high: Largest Hamming distance of a match by projection (TH_HIGH).
         distance_low: Largest Hamming distance of a match by descriptor alone (TH_LOW).
@@ -83,6 +84,7 @@ class Settings:
     fast_threshold_low: int = 7
     cell_size: int = 30
     init_keypoints: int | str = "auto"
+    init_matches: int = 100
     close_depth: float = 40.0
     distance_high: int = 100
     distance_low: int = 50
