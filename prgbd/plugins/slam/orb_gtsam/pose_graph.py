@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.stats import chi2
 
 from prgbd.core.errors import ContractError
 
@@ -18,6 +19,8 @@ BoolArray = NDArray[np.bool_]
 _TIGHT = 1e-6
 # Probability with which a true loop edge must pass for one.
 _INLIER_PROBABILITY = 0.99
+# Most rejected loop edges that are tried again: each costs one optimisation.
+_HEARINGS = 20
 
 
 def optimise_pose_graph(
@@ -140,10 +143,40 @@ def _solve(
     graduated.setLossType(gtsam.GncLossType.TLS)
     # The linear schedule drops true loops together with false ones far more often.
     graduated.setScheduler(gtsam.GncScheduler.SuperLinear)
-    graduated.setKnownInliers(np.setdiff1d(np.arange(graph.size()), doubtful).tolist())
+    sure = np.setdiff1d(np.arange(graph.size()), doubtful)
+    graduated.setKnownInliers(sure.tolist())
     optimizer = gtsam.GncLMOptimizer(graph, values, graduated)
     optimizer.setInlierCostThresholdsAtProbability(_INLIER_PROBABILITY)
-    return optimizer.optimize()
+    solved = optimizer.optimize()
+    trusted = optimizer.getWeights()[doubtful] > 0.5
+    if trusted.all():
+        return solved
+    kept = gtsam.NonlinearFactorGraph()
+    for e in [*sure.tolist(), *doubtful[trusted].tolist()]:
+        kept.add(graph.at(e))
+    return _readmit(kept, solved, [graph.at(e) for e in doubtful[~trusted].tolist()], parameters)
+
+
+def _readmit(
+    graph: gtsam.NonlinearFactorGraph,
+    solved: gtsam.Values,
+    rejected: list[gtsam.NonlinearFactor],
+    parameters: gtsam.LevenbergMarquardtParams,
+) -> gtsam.Values:
+    """Give rejected edges a second hearing, one by one, as false ones may have taken true ones down with them.
+
+    An edge is admitted if the graph can bend to it at no more cost than chance explains (as in Latif et al., "Robust
+    loop closing over time for pose graph SLAM", IJRR 2013).
+    """
+    cost = graph.error(solved)
+    for factor in rejected[:: -(-len(rejected) // _HEARINGS)]:
+        trial = graph.clone()
+        trial.add(factor)
+        candidate = gtsam.LevenbergMarquardtOptimizer(trial, solved, parameters).optimize()
+        rise = trial.error(candidate) - cost
+        if rise <= 0.5 * chi2.ppf(_INLIER_PROBABILITY, factor.dim()):
+            graph, solved, cost = trial, candidate, cost + rise
+    return solved
 
 
 def _read(solved: gtsam.Values, poses: FloatArray, fixed: int, *, similar: bool) -> tuple[FloatArray, FloatArray]:

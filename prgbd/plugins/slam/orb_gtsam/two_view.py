@@ -23,6 +23,8 @@ _SELECT_HOMOGRAPHY = 0.40
 _REPROJECTION = 4.0
 _MIN_POINTS = 50
 _MIN_PARALLAX = math.radians(1.0)
+# Matches along one line, with less than this standard deviation (pixels) across it, determine no motion.
+_MIN_SPREAD = 2.0
 # A point seen under a smaller angle is too far to say anything about its depth.
 _FAR = 0.99998
 
@@ -63,7 +65,9 @@ def initialise_two_view(uv1: FloatArray, uv2: FloatArray, K: FloatArray, seed: i
         no clear winner.
     """
     first, second = np.ascontiguousarray(uv1, np.float64), np.ascontiguousarray(uv2, np.float64)
-    if len(first) < _MIN_POINTS:
+    if len(first) < _MIN_POINTS or not (np.isfinite(first).all() and np.isfinite(second).all()):
+        return None
+    if np.linalg.svd(first - first.mean(0), compute_uv=False)[1] < _MIN_SPREAD * len(first) ** 0.5:
         return None
     H = _usable(cv2.findHomography(first, second, _sampling(seed, _CHI2_POINT**0.5))[0])
     E = _usable(cv2.findEssentialMat(first, second, K, K, None, None, _sampling(seed, _CHI2_LINE**0.5))[0])
