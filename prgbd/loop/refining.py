@@ -14,6 +14,7 @@ from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.files import atomic_path
 from prgbd.core.types import SlamResult
+from prgbd.loop.interrupts import interruptible
 from prgbd.loop.monitor import Monitor, Progress
 from prgbd.loop.store import RunStore
 from prgbd.training.refinement import refine
@@ -75,7 +76,7 @@ class Refiner:
         options = {**self.trainer_options, "enable_progress_bar": False}
         logger = self.make_logger(folder) if self.make_logger is not None else None
         try:
-            with monitor.stage("Refinement", keyframes * self.settings.epochs) as progress:
+            with interruptible(), monitor.stage("Refinement", keyframes * self.settings.epochs) as progress:
                 options["callbacks"] = [TrainingProgress(progress)]
                 outcome = refine(estimator, supervised, self.settings, folder, options, logger)
         except SlamError as error:

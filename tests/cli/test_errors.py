@@ -1,5 +1,6 @@
 """Bad input: one clear sentence that names the file or option, exit code 2, and no half-made run."""
 
+import signal
 from pathlib import Path
 
 import cv2
@@ -133,13 +134,16 @@ def test_a_bug_keeps_its_traceback(cli, monkeypatch):
     assert "ZeroDivisionError" in Path("run/run.log").read_text()
 
 
-def test_ctrl_c_says_how_to_go_on(cli, monkeypatch):
-    from tests.loop.fakes import Sideways
-
-    def stopped(self, frame):
+@pytest.mark.parametrize(
+    "place", ["tests.loop.fakes.Sideways.track", "prgbd.training.refinement_module.DepthRefinement.training_step"]
+)
+def test_ctrl_c_says_how_to_go_on(cli, monkeypatch, place):
+    def stopped(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Sideways, "track", stopped)
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(place, stopped)
     answer = cli(*FAKES, "out=run")
+    assert signal.getsignal(signal.SIGINT) is before
     assert answer.code == 130
     assert "resume=run" in answer.sentence
