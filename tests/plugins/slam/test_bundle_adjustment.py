@@ -5,6 +5,8 @@ from prgbd.core.errors import ContractError
 from prgbd.plugins.slam.orb_gtsam import schur
 from prgbd.plugins.slam.orb_gtsam.bundle_adjustment import local_bundle_adjustment
 from prgbd.plugins.slam.orb_gtsam.lie import exp_se3, log_se3
+from prgbd.plugins.slam.orb_gtsam.reprojection import linearise
+from prgbd.plugins.slam.orb_gtsam.sparse_cholesky import envelope, solve_envelope
 from tests.plugins.slam.scenes import CAMERA, drive, numerical_jacobian, project
 
 POSE = exp_se3(np.array([0.1, -0.2, 0.05, 0.3, 0.1, 0.2]))
@@ -20,8 +22,9 @@ def test_derivatives_agree_with_finite_differences(mono):
     observed = project(POSE, POINT[None])[0] + [3.0, -2.0, 1.0]
     if mono:
         observed[2] = -1.0
-    A, G, e = np.ones((3, 3)), np.ones((3, 6)), np.ones(3)
-    weight = schur.linearise_one(POSE, POINT, observed, 0.5, np.array(CAMERA), False, A, G, e)
+    G, e = np.ones((3, 6)), np.ones(3)
+    weight = linearise(POSE, POINT, observed, 0.5, np.array(CAMERA), False, G, e)
+    A = G[:, 3:] @ POSE[:3, :3]
     rows = 2 if mono else 3
     by_pose = numerical_jacobian(lambda xi: project(exp_se3(xi) @ POSE, POINT[None])[0], 6)
     by_point = numerical_jacobian(lambda d: project(POSE, (POINT + d)[None])[0], 3)
@@ -34,8 +37,8 @@ def test_derivatives_agree_with_finite_differences(mono):
 
 def test_the_huber_weight_is_the_derivative_of_the_cost():
     observed = project(POSE, POINT[None])[0] + [9.0, -7.0, 5.0]
-    A, G, e = np.ones((3, 3)), np.ones((3, 6)), np.ones(3)
-    weight = schur.linearise_one(POSE, POINT, observed, 0.5, np.array(CAMERA), True, A, G, e)
+    G, e = np.ones((3, 6)), np.ones(3)
+    weight = linearise(POSE, POINT, observed, 0.5, np.array(CAMERA), True, G, e)
 
     def cost(xi):
         one = np.zeros(1, np.int64)
@@ -62,9 +65,9 @@ def test_the_envelope_solver_agrees_with_a_dense_one():
     for i in range(n):
         S[offset[i] + start[i] : offset[i] + i + 1] = dense[i, start[i] : i + 1]
     x = b.copy()
-    assert schur.solve_envelope(S, offset, start, x)
+    assert solve_envelope(S, offset, start, x)
     np.testing.assert_allclose(x, np.linalg.solve(dense, b), rtol=1e-9)
-    assert not schur.solve_envelope(-np.abs(S), offset, start, x)
+    assert not solve_envelope(-np.abs(S), offset, start, x)
 
 
 def test_a_step_solves_the_full_normal_equations():
@@ -76,8 +79,9 @@ def test_a_step_solves_the_full_normal_equations():
     active = np.ones(len(kf), np.bool_)
     J, r = np.zeros((3 * len(kf), 6 * free + 3 * P)), np.zeros(3 * len(kf))
     for m in range(len(kf)):
-        A, G, e = np.zeros((3, 3)), np.zeros((3, 6)), np.zeros(3)
-        w = schur.linearise_one(scene.cTw0[kf[m]], scene.xyz0[pt[m]], uvr[m], weight[m], camera, False, A, G, e)
+        G, e, pose = np.zeros((3, 6)), np.zeros(3), scene.cTw0[kf[m]]
+        w = linearise(pose, scene.xyz0[pt[m]], uvr[m], weight[m], camera, False, G, e)
+        A = G[:, 3:] @ pose[:3, :3]
         J[3 * m : 3 * m + 3, 6 * free + 3 * pt[m] : 6 * free + 3 * pt[m] + 3] = A * w**0.5
         if column[kf[m]] >= 0:
             J[3 * m : 3 * m + 3, 6 * column[kf[m]] : 6 * column[kf[m]] + 6] = G * w**0.5
@@ -91,13 +95,13 @@ def test_a_step_solves_the_full_normal_equations():
 
     first = np.searchsorted(pt, np.arange(P + 1))
     offset, start = np.zeros(12, np.int64), np.zeros(12, np.int64)
-    S, b = np.empty(schur.envelope(column, free, kf, first, offset, start)), np.empty(12)
+    S, b = np.empty(envelope(column, free, kf, first, offset, start)), np.empty(12)
     U, V, W = np.empty((free, 6, 6)), np.empty((P, 3, 3)), np.empty((len(kf), 6, 3))
     bu, bv = np.empty((free, 6)), np.empty((P, 3))
     problem = (scene.cTw0, scene.xyz0, column, kf, pt, uvr, weight, camera, active, False)
     schur.normal_equations(*problem, U, V, W, bu, bv)
     schur.reduce_to_poses(column, kf, first, damping, U, V, W, bu, bv, offset, S, b)
-    assert schur.solve_envelope(S, offset, start, b)
+    assert solve_envelope(S, offset, start, b)
     np.testing.assert_allclose(b, step[: 6 * free], rtol=1e-5, atol=1e-8)
     poses, points = scene.cTw0.copy(), scene.xyz0.copy()
     schur.apply_step(scene.cTw0, scene.xyz0, column, kf, first, damping, V, W, bv, b, poses, points)
@@ -136,6 +140,13 @@ def test_the_kernel_is_what_withstands_outliers():
     robust = local_bundle_adjustment(*scene.problem)
     plain = local_bundle_adjustment(*scene.problem, robust=False)
     assert worst_pose_error(plain.cTw, scene.cTw) > 3 * worst_pose_error(robust.cTw, scene.cTw)
+
+
+def test_with_all_poses_fixed_only_points_move():
+    scene = drive()
+    result = local_bundle_adjustment(scene.cTw, np.ones(8, bool), *scene.problem[2:])
+    np.testing.assert_array_equal(result.cTw, scene.cTw)
+    np.testing.assert_allclose(result.xyz[scene.pt], scene.xyz[scene.pt], atol=1e-6)
 
 
 def test_fixed_poses_and_inputs_stay_as_they_are():

@@ -7,7 +7,8 @@ from scipy.optimize import least_squares
 
 from prgbd.plugins.slam.orb_gtsam import pose_optimisation
 from prgbd.plugins.slam.orb_gtsam.lie import exp_se3, log_se3
-from prgbd.plugins.slam.orb_gtsam.pose_optimisation import optimise_pose, penalty, solve_damped
+from prgbd.plugins.slam.orb_gtsam.pose_optimisation import optimise_pose, solve_damped
+from prgbd.plugins.slam.orb_gtsam.reprojection import penalty
 from tests.plugins.slam.scenes import CAMERA, numerical_jacobian, project
 
 TRUE = exp_se3(np.array([0.1, -0.2, 0.05, 0.3, 0.1, 0.2]))

@@ -51,7 +51,7 @@ def test_a_deep_scene_is_solved_by_the_essential_matrix(twist, seed):
 @pytest.mark.parametrize("twist", [(0, 0.03, 0, 0.6, 0, 0), (0.05, 0, 0, 0, 0.4, 0)])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_plane_is_solved_by_the_homography(twist, seed):
-    uv1, uv2, c2Tc1, xyz, bad = matches("plane", twist, seed=seed)
+    uv1, uv2, c2Tc1, _, bad = matches("plane", twist, seed=seed)
     view = initialise_two_view(uv1, uv2, K, seed)
     assert view is not None
     assert view.model == "H"
@@ -103,7 +103,7 @@ def test_useless_matches_are_refused():
     assert initialise_two_view(np.full((100, 2), 50.0), np.full((100, 2), 50.0), K) is None
     assert initialise_two_view(anywhere[0], anywhere[0], K) is None
     line = np.repeat(np.linspace(0, 400, 200)[:, None], 2, axis=1)
-    assert initialise_two_view(line, line + [5.0, 5.0], K) is None
+    assert initialise_two_view(line, line + np.array([5.0, 5.0]), K) is None
     assert initialise_two_view(np.full((100, 2), np.nan), anywhere[0, :100], K) is None
 
 
@@ -150,6 +150,6 @@ def test_triangulation_without_a_baseline_or_behind_fails_every_check():
     parallel = triangulate_pairs(np.eye(4), exp_se3(np.array([0, 0, 0, 1.0, 0, 0])), rays, rays)
     assert not (np.isfinite(parallel).all(axis=1) & (parallel[:, 2] < 1e6)).any()
     assert np.isnan(triangulate_pairs(np.eye(4), np.eye(4), rays, rays)).all()
-    crossed = triangulate_pairs(np.eye(4), exp_se3(np.array([0, 0, 0, -1.0, 0, 0])), rays, rays + [0.1, 0.0])
+    crossed = triangulate_pairs(np.eye(4), exp_se3(np.array([0, 0, 0, -1.0, 0, 0])), rays, rays + np.array([0.1, 0.0]))
     assert (crossed[:, 2] < 0).all()
     assert triangulate_pairs(np.eye(4), np.eye(4), np.zeros((0, 2)), np.zeros((0, 2))).shape == (0, 3)

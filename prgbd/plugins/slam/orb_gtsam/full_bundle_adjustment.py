@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prgbd.core.errors import ConfigError
 from prgbd.plugins.slam.orb_gtsam.bundle_adjustment import TOLERANCE, BundleProblem, BundleResult
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
-from prgbd.plugins.slam.orb_gtsam.pose_optimisation import CHI2_MONO, CHI2_STEREO
+from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

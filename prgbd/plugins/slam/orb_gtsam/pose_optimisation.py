@@ -9,14 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.lie import compose_into, exp_se3_into, orthonormalise
+from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO, FAST, chi2_of, linearise, penalty
 
 FloatArray = NDArray[np.float64]
 
-CHI2_MONO = 5.991
-CHI2_STEREO = 7.815
-
-# Chi-square that a point behind the camera counts for: constant, so steps that push points back there lose.
-_BEHIND = 1e6
 _ROUNDS = 4
 _ITERATIONS = 10
 # Relative decrease of the cost at which a round has converged.
@@ -68,33 +64,7 @@ def optimise_pose(
     return cTw, inlier
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, camera: FloatArray) -> float:
-    """Return the chi-square of one observation ``(u, v, u_right or -1)``; infinite behind the camera."""
-    z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
-    if not z > 1e-9:
-        return math.inf
-    iz = 1.0 / z
-    x = pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]
-    y = pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]
-    u = camera[0] * x * iz + camera[2]
-    eu, ev = obs[0] - u, obs[1] - (camera[1] * y * iz + camera[3])
-    square = eu * eu + ev * ev
-    if obs[2] >= 0.0:
-        er = obs[2] - (u - camera[4] * iz)
-        square += er * er
-    return square * weight
-
-
-@numba.njit(cache=True, nogil=True)
-def penalty(chi2: float, stereo: bool, robust: bool) -> float:
-    """Return what a chi-square adds to the cost: itself, or Huber's rho of it, finite even behind the camera."""
-    chi2 = chi2 if chi2 < math.inf else _BEHIND
-    limit = CHI2_STEREO if stereo else CHI2_MONO
-    return chi2 if chi2 <= limit or not robust else 2.0 * math.sqrt(limit * chi2) - limit
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _cost(
     pose: FloatArray,
     xyz: FloatArray,
@@ -113,7 +83,7 @@ def _cost(
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def _normal_equations(
     pose: FloatArray,
     xyz: FloatArray,
@@ -128,52 +98,17 @@ def _normal_equations(
     """Fill ``H`` (lower triangle) and ``b`` of ``H xi = b`` for the left update ``exp(xi) cTw``."""
     H[:] = 0.0
     b[:] = 0.0
-    fx, fy, cx, cy, bf = camera[0], camera[1], camera[2], camera[3], camera[4]
-    rows = np.empty((3, 6))
-    error = np.empty(3)
+    G, e = np.empty((3, 6)), np.empty(3)
     for k in range(len(xyz)):
-        if not active[k]:
+        w = linearise(pose, xyz[k], uvr[k], inv_sigma2[k], camera, robust, G, e) if active[k] else 0.0
+        if w == 0.0:
             continue
-        p = xyz[k]
-        z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
-        if not z > 1e-9:
-            continue
-        x = pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]
-        y = pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]
-        iz = 1.0 / z
-        a, c = x * iz, y * iz
-        stereo = uvr[k, 2] >= 0.0
-        n = 3 if stereo else 2
-        error[0] = uvr[k, 0] - (fx * a + cx)
-        error[1] = uvr[k, 1] - (fy * c + cy)
-        # Derivatives of (u, v) by the twist: d(x, y, z) = omega x p + v.
-        rows[0, 0], rows[0, 1], rows[0, 2] = -fx * a * c, fx * (1.0 + a * a), -fx * c
-        rows[0, 3], rows[0, 4], rows[0, 5] = fx * iz, 0.0, -fx * a * iz
-        rows[1, 0], rows[1, 1], rows[1, 2] = -fy * (1.0 + c * c), fy * a * c, fy * a
-        rows[1, 3], rows[1, 4], rows[1, 5] = 0.0, fy * iz, -fy * c * iz
-        chi2 = error[0] * error[0] + error[1] * error[1]
-        limit = CHI2_MONO
-        if stereo:
-            # u_right = u - bf / z adds bf / z^2 dz, with dz = omega_x y - omega_y x + v_z.
-            error[2] = uvr[k, 2] - (fx * a + cx - bf * iz)
-            d = bf * iz * iz
+        for r in range(3 if uvr[k, 2] >= 0.0 else 2):
             for i in range(6):
-                rows[2, i] = rows[0, i]
-            rows[2, 0] += d * y
-            rows[2, 1] -= d * x
-            rows[2, 5] += d
-            chi2 += error[2] * error[2]
-            limit = CHI2_STEREO
-        w = inv_sigma2[k]
-        chi2 *= w
-        if robust and chi2 > limit:
-            w *= math.sqrt(limit / chi2)
-        for r in range(n):
-            for i in range(6):
-                s = w * rows[r, i]
-                b[i] += s * error[r]
+                s = w * G[r, i]
+                b[i] += s * e[r]
                 for j in range(i + 1):
-                    H[i, j] += s * rows[r, j]
+                    H[i, j] += s * G[r, j]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""The compiled core of bundle adjustment: normal equations, Schur complement and a sparse Cholesky solver.
+"""The compiled core of bundle adjustment: normal equations, Schur complement and Levenberg-Marquardt.
 
 Points are eliminated, and the remaining system of poses is kept by rows from their first nonzero block on (an
 envelope), so it stays small for cameras in temporal order however long the trajectory.
@@ -6,21 +6,17 @@ envelope), so it stays small for cameras in temporal order however long the traj
 
 from __future__ import annotations
 
-import math
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.lie import compose_into, exp_se3_into, orthonormalise
-from prgbd.plugins.slam.orb_gtsam.pose_optimisation import CHI2_MONO, CHI2_STEREO, chi2_of, penalty
+from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO, FAST, chi2_of, linearise, penalty
+from prgbd.plugins.slam.orb_gtsam.sparse_cholesky import envelope, solve_envelope
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-# Sums may be reordered, but NaN must stay visible.
-_FAST = {"contract", "reassoc", "nsz"}
 
 
 @numba.njit(cache=True, nogil=True)
@@ -62,75 +58,7 @@ def classify(
         inlier[m] = usable[m] and chi2_of(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera) <= limit
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def linearise_one(
-    pose: FloatArray,
-    p: FloatArray,
-    obs: FloatArray,
-    weight: float,
-    camera: FloatArray,
-    robust: bool,
-    A: FloatArray,
-    G: FloatArray,
-    e: FloatArray,
-) -> float:
-    """Fill the derivatives of one prediction and its error; return the weight it enters the equations with.
-
-    Args:
-        pose: World to camera (4, 4).
-        p: Point in the world (3,).
-        obs: ``(u, v, u_right or -1)``.
-        weight: Inverse variance.
-        camera: ``(fx, fy, cx, cy, bf)``.
-        robust: Whether to apply the Huber weight.
-        A: Receives (3, 3), the derivative by the point in the world; its last row is zero for monocular ones.
-        G: Receives (3, 6), the derivative by the left twist ``(omega, v)`` of the pose.
-        e: Receives (3,), observation minus prediction.
-
-    Returns:
-        The weight, or 0 behind the camera.
-    """
-    z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
-    if not z > 1e-9:
-        return 0.0
-    fx, fy, bf = camera[0], camera[1], camera[4]
-    iz = 1.0 / z
-    a = (pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]) * iz
-    c = (pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]) * iz
-    # Derivatives by the point in camera coordinates: (fu, 0, gu), (0, fv, gv), (fu, 0, gr).
-    fu, fv = fx * iz, fy * iz
-    gu, gv = -fu * a, -fv * c
-    e[0] = obs[0] - (fx * a + camera[2])
-    e[1] = obs[1] - (fy * c + camera[3])
-    chi2 = e[0] * e[0] + e[1] * e[1]
-    # d(x, y, z) = omega x p + v.
-    G[0, 0], G[0, 1], G[0, 2], G[0, 3], G[0, 4], G[0, 5] = -fx * a * c, fx * (1.0 + a * a), -fx * c, fu, 0.0, gu
-    G[1, 0], G[1, 1], G[1, 2], G[1, 3], G[1, 4], G[1, 5] = -fy * (1.0 + c * c), fy * a * c, fy * a, 0.0, fv, gv
-    for j in range(3):
-        A[0, j] = fu * pose[0, j] + gu * pose[2, j]
-        A[1, j] = fv * pose[1, j] + gv * pose[2, j]
-    limit = CHI2_MONO
-    if obs[2] >= 0.0:
-        limit = CHI2_STEREO
-        d = bf * iz * iz
-        e[2] = obs[2] - (fx * a + camera[2] - bf * iz)
-        chi2 += e[2] * e[2]
-        for j in range(6):
-            G[2, j] = G[0, j]
-        G[2, 0] += d * c * z
-        G[2, 1] -= d * a * z
-        G[2, 5] += d
-        for j in range(3):
-            A[2, j] = A[0, j] + d * pose[2, j]
-    else:
-        e[2] = 0.0
-        G[2, :] = 0.0
-        A[2, :] = 0.0
-    chi2 *= weight
-    return weight * math.sqrt(limit / chi2) if robust and chi2 > limit else weight
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def normal_equations(
     poses: FloatArray,
     points: FloatArray,
@@ -158,20 +86,19 @@ def normal_equations(
     bv[:] = 0.0
     A, G, e = np.empty((3, 3)), np.empty((3, 6)), np.empty(3)
     for m in range(len(kf)):
-        w = 0.0
-        if active[m]:
-            w = linearise_one(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera, robust, A, G, e)
-        f, q = column[kf[m]], pt[m]
+        f, q, pose = column[kf[m]], pt[m], poses[kf[m]]
+        w = linearise(pose, points[q], uvr[m], weight[m], camera, robust, G, e) if active[m] else 0.0
         if w == 0.0:
             W[m] = 0.0
             continue
-        rows = 3 if uvr[m, 2] >= 0.0 else 2
+        for r in range(3):
+            for j in range(3):
+                A[r, j] = G[r, 3] * pose[0, j] + G[r, 4] * pose[1, j] + G[r, 5] * pose[2, j]
         for i in range(3):
-            for r in range(rows):
-                s = w * A[r, i]
-                bv[q, i] += s * e[r]
-                for j in range(3):
-                    V[q, i, j] += s * A[r, j]
+            w0, w1, w2 = w * A[0, i], w * A[1, i], w * A[2, i]
+            bv[q, i] += w0 * e[0] + w1 * e[1] + w2 * e[2]
+            for j in range(3):
+                V[q, i, j] += w0 * A[0, j] + w1 * A[1, j] + w2 * A[2, j]
         if f < 0:
             continue
         for i in range(6):
@@ -183,7 +110,7 @@ def normal_equations(
                 W[m, i, j] = w0 * A[0, j] + w1 * A[1, j] + w2 * A[2, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def invert_point_block(V: FloatArray, damping: float, out: FloatArray) -> None:
     """Invert a damped symmetric (3, 3) block; a direction that nothing observes gets a tiny weight, so it stays put."""
     trace = V[0, 0] + V[1, 1] + V[2, 2]
@@ -199,7 +126,7 @@ def invert_point_block(V: FloatArray, damping: float, out: FloatArray) -> None:
             out[j, i] = out[i, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def reduce_to_poses(
     column: IntArray,
     kf: IntArray,
@@ -251,40 +178,7 @@ def reduce_to_poses(
                         S[o + j] -= Y[i, 0] * W[n, j, 0] + Y[i, 1] * W[n, j, 1] + Y[i, 2] * W[n, j, 2]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def solve_envelope(S: FloatArray, offset: IntArray, start: IntArray, b: FloatArray) -> bool:
-    """Solve ``S x = b`` in place (``b`` becomes ``x``) by Cholesky within the envelope; False if not positive definite.
-
-    Row i has its first nonzero at column ``start[i]``; element (i, j) is ``S[offset[i] + j]``. ``S`` becomes L.
-    """
-    n = len(b)
-    for i in range(n):
-        oi = offset[i]
-        for j in range(start[i], i + 1):
-            oj = offset[j]
-            s = S[oi + j]
-            begin = max(start[i], start[j])
-            row_i, row_j = S[oi + begin : oi + j], S[oj + begin : oj + j]
-            for k in range(len(row_i)):
-                s -= row_i[k] * row_j[k]
-            if j < i:
-                S[oi + j] = s / S[oj + j]
-            elif s > 0.0:
-                S[oi + i] = math.sqrt(s)
-            else:
-                return False
-        s = b[i]
-        for k in range(start[i], i):
-            s -= S[oi + k] * b[k]
-        b[i] = s / S[oi + i]
-    for i in range(n - 1, -1, -1):
-        b[i] /= S[offset[i] + i]
-        for k in range(start[i], i):
-            b[k] -= S[offset[i] + k] * b[i]
-    return True
-
-
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def apply_step(
     poses: FloatArray,
     points: FloatArray,
@@ -321,29 +215,6 @@ def apply_step(
                         s[j] -= W[m, i, j] * x[6 * f + i]
         for i in range(3):
             new_points[q, i] = points[q, i] + inverse[i, 0] * s[0] + inverse[i, 1] * s[1] + inverse[i, 2] * s[2]
-
-
-@numba.njit(cache=True, nogil=True)
-def envelope(column: IntArray, free: int, kf: IntArray, first: IntArray, offset: IntArray, start: IntArray) -> int:
-    """Fill ``offset`` and ``start`` (6 F,) of the reduced system and return how many numbers its envelope holds."""
-    lowest = np.arange(free)
-    for q in range(len(first) - 1):
-        low = free
-        for m in range(first[q], first[q + 1]):
-            if column[kf[m]] >= 0:
-                low = min(low, column[kf[m]])
-        for m in range(first[q], first[q + 1]):
-            f = column[kf[m]]
-            if f >= 0:
-                lowest[f] = min(lowest[f], low)
-    size = 0
-    for f in range(free):
-        begin = 6 * lowest[f]
-        for i in range(6 * f, 6 * f + 6):
-            start[i] = begin
-            offset[i] = size - begin
-            size += 6 * f + 6 - begin
-    return size
 
 
 @numba.njit(cache=True, nogil=True)

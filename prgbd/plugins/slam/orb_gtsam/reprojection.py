@@ -1,0 +1,104 @@
+"""One observation of one point: its error, its weight and its derivatives, monocular or stereo."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# 95 % limits of two and three degrees of freedom.
+CHI2_MONO = 5.991
+CHI2_STEREO = 7.815
+
+# For numba: sums may be reordered, but NaN and infinity must stay visible.
+FAST = {"contract", "reassoc", "nsz"}
+
+# Chi-square that a point behind the camera counts for: constant, so steps that push points back there lose.
+_BEHIND = 1e6
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: float, camera: FloatArray) -> float:
+    """Return the chi-square of one observation ``(u, v, u_right or -1)``; infinite behind the camera."""
+    z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
+    if not z > 1e-9:
+        return math.inf
+    iz = 1.0 / z
+    x = pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]
+    y = pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]
+    u = camera[0] * x * iz + camera[2]
+    eu, ev = obs[0] - u, obs[1] - (camera[1] * y * iz + camera[3])
+    square = eu * eu + ev * ev
+    if obs[2] >= 0.0:
+        er = obs[2] - (u - camera[4] * iz)
+        square += er * er
+    return square * weight
+
+
+@numba.njit(cache=True, nogil=True)
+def penalty(chi2: float, stereo: bool, robust: bool) -> float:
+    """Return what a chi-square adds to the cost: itself, or Huber's rho of it, finite even behind the camera."""
+    chi2 = chi2 if chi2 < math.inf else _BEHIND
+    limit = CHI2_STEREO if stereo else CHI2_MONO
+    return chi2 if chi2 <= limit or not robust else 2.0 * math.sqrt(limit * chi2) - limit
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def linearise(
+    pose: FloatArray,
+    p: FloatArray,
+    obs: FloatArray,
+    weight: float,
+    camera: FloatArray,
+    robust: bool,
+    G: FloatArray,
+    e: FloatArray,
+) -> float:
+    """Fill the derivatives of one prediction and its error; return the weight it enters the equations with.
+
+    Args:
+        pose: World to camera (4, 4).
+        p: Point in the world (3,).
+        obs: ``(u, v, u_right or -1)``.
+        weight: Inverse variance.
+        camera: ``(fx, fy, cx, cy, bf)``.
+        robust: Whether to apply the Huber weight.
+        G: Receives (3, 6), the derivative by the left twist ``(omega, v)`` of the pose; its last three columns are
+            the derivative by the point in camera coordinates. The last row is zero for a monocular observation.
+        e: Receives (3,), observation minus prediction.
+
+    Returns:
+        The weight, or 0 behind the camera.
+    """
+    z = pose[2, 0] * p[0] + pose[2, 1] * p[1] + pose[2, 2] * p[2] + pose[2, 3]
+    if not z > 1e-9:
+        return 0.0
+    fx, fy = camera[0], camera[1]
+    iz = 1.0 / z
+    a = (pose[0, 0] * p[0] + pose[0, 1] * p[1] + pose[0, 2] * p[2] + pose[0, 3]) * iz
+    c = (pose[1, 0] * p[0] + pose[1, 1] * p[1] + pose[1, 2] * p[2] + pose[1, 3]) * iz
+    e[0] = obs[0] - (fx * a + camera[2])
+    e[1] = obs[1] - (fy * c + camera[3])
+    # The point moves by omega x p + v.
+    G[0, 0], G[0, 1], G[0, 2] = -fx * a * c, fx * (1.0 + a * a), -fx * c
+    G[0, 3], G[0, 4], G[0, 5] = fx * iz, 0.0, -fx * a * iz
+    G[1, 0], G[1, 1], G[1, 2] = -fy * (1.0 + c * c), fy * a * c, fy * a
+    G[1, 3], G[1, 4], G[1, 5] = 0.0, fy * iz, -fy * c * iz
+    if obs[2] >= 0.0:
+        # u_right = u - bf / z adds bf / z^2 dz, with dz = omega_x y - omega_y x + v_z.
+        limit = CHI2_STEREO
+        d = camera[4] * iz
+        e[2] = obs[2] - (fx * a + camera[2] - d)
+        G[2, 0], G[2, 1], G[2, 2] = G[0, 0] + d * c, G[0, 1] - d * a, G[0, 2]
+        G[2, 3], G[2, 4], G[2, 5] = G[0, 3], 0.0, G[0, 5] + d * iz
+    else:
+        limit = CHI2_MONO
+        e[2] = 0.0
+        for j in range(6):
+            G[2, j] = 0.0
+    chi2 = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) * weight
+    return weight * math.sqrt(limit / chi2) if robust and chi2 > limit else weight
