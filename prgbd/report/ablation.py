@@ -16,7 +16,7 @@ from prgbd.report.tables import Cell, Column, Table
 from prgbd.report.words import depth_basis
 
 # Options that differ between runs without being what was varied.
-NOT_VARIED = re.compile(r"(^|\.)(hydra|output|output_dir|run_dir|folder|resume|job_num|job)(\.|$)")
+NOT_VARIED = re.compile(r"^(hydra|run|out|output_dir|resume|progress|debug)(\.|$)")
 
 
 def find_runs(folder: Path | str) -> list[Path]:
@@ -127,8 +127,8 @@ def _note(runs: list[Run], with_paper: bool) -> str:
 
 
 def run_labels(paths: list[Path]) -> list[str]:
-    """Name each run by what differs: its command-line overrides, else its configuration, else its folder."""
-    for read in (_overrides, _configuration):
+    """Name each run by what differs: its overrides, else the choices of its groups, else its options, else its folder."""
+    for read in (_overrides, _choices, _configuration):
         options = [read(path) for path in paths]
         if not any(options):
             continue
@@ -141,12 +141,20 @@ def run_labels(paths: list[Path]) -> list[str]:
 
 
 def _overrides(path: Path) -> dict[str, str]:
-    """Return the overrides that Hydra noted for a job."""
+    """Return the overrides that were noted for a job, as Hydra does."""
     items = _yaml(path / ".hydra" / "overrides.yaml")
     if not isinstance(items, list):
         return {}
     pairs = [str(item).lstrip("+~").split("=", 1) for item in items]
     return {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
+
+
+def _choices(path: Path) -> dict[str, str]:
+    """Return what was chosen from each group, which a run notes in its configuration."""
+    config = _yaml(path / "config.yaml")
+    notes = config.get("run") if isinstance(config, dict) else None
+    choices = notes.get("choices") if isinstance(notes, dict) else None
+    return {str(k): str(v) for k, v in choices.items()} if isinstance(choices, dict) else {}
 
 
 def _configuration(path: Path) -> dict[str, str]:

@@ -74,7 +74,9 @@ def _header(run: Run, title: str) -> str:
         "data": _subject(run),
         "seed": summary.get("seed"),
     }
-    chips = "".join(f"<li><span>{escape(k)}</span>{escape(str(v))}</li>" for k, v in facts.items() if v is not None)
+    chips = "".join(
+        f"<li><span>{escape(k)}</span>{escape(str(v))}</li>" for k, v in facts.items() if v not in (None, "")
+    )
     first, *more = describe(summary)
     rest = "".join(f'<p class="more">{escape(sentence)}</p>' for sentence in more)
     return (

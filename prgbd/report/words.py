@@ -190,8 +190,9 @@ def _stop(summary: dict[str, Any]) -> list[str]:
     stop = summary.get("stop") or {}
     sentences = []
     if stop.get("reason"):
-        sentences.append(f"Why it ended: {str(stop['reason']).strip().rstrip('.')}.")
+        reason = str(stop["reason"]).strip()
+        sentences.append(reason[:1].upper() + reason[1:].rstrip(".") + ".")
     best, loops = stop.get("best_loop"), summary.get("loops") or []
-    if best is not None and len(loops) > 1:
+    if best is not None and len(loops) > 1 and best != loops[-1].get("loop"):
         sentences.append(f"The stop rule, which sees no ground truth, keeps the result of loop {best}.")
     return sentences

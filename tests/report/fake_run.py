@@ -120,7 +120,11 @@ def make_run(
             result = slam_result(poses, timestamps, error, lost if k == 0 else (), seed=s + 10 * k)
             write_slam_folder(result, base / "slam" / name)
             figures = evaluate_trajectory(result.trajectory, FRAMES, poses if truth else None, timestamps)
-            counts = {"keyframes": len(result.keyframes), "points": len(result.points), "lost": len(lost) * (k == 0)}
+            counts = {
+                "keyframes": len(result.keyframes),
+                "points": len(result.points),
+                "lost_frames": len(lost) * (k == 0),
+            }
             loop["pose"][name] = figures | counts | {"fps": 11.25}
             if truth:
                 write_tum(Trajectory(np.arange(FRAMES), timestamps, poses), folder / "truth" / f"{name}.tum")
@@ -143,7 +147,7 @@ def make_run(
         "sequences": list(sequences),
         "seed": 0,
         "loops": loops,
-        "stop": {"reason": "the most loops that were asked for are done", "best_loop": len(loops) - 1},
+        "stop": {"reason": "The 2 refinements that task.max_loops allows were made.", "best_loop": len(loops) - 1},
         "versions": {"python": "3.11", "torch": "2.13"},
         "seconds": 312.4,
     }

@@ -69,11 +69,13 @@ def test_an_unfinished_run_is_a_row_without_figures(tmp_path):
 def test_labels_fall_back_to_configuration_and_then_to_folders(tmp_path):
     for name, weight in (("a", 1), ("b", 0)):
         (tmp_path / name).mkdir()
-        (tmp_path / name / "config.yaml").write_text(
-            f"loss:\n  transfer: {weight}\noutput_dir: runs/{name}\nx: ${{y}}\n"
-        )
+        (tmp_path / name / "config.yaml").write_text(f"loss:\n  transfer: {weight}\nout: runs/{name}\nx: ${{y}}\n")
     paths = [tmp_path / "a", tmp_path / "b"]
     assert run_labels(paths) == ["loss.transfer=1", "loss.transfer=0"]
+    for name, loss in (("a", "all"), ("b", "no_photometric")):
+        with open(tmp_path / name / "config.yaml", "a") as file:
+            file.write(f"run:\n  overrides: [x={name}]\n  choices:\n    loss: {loss}\n    slam: s\n")
+    assert run_labels(paths) == ["loss=all", "loss=no_photometric"]
     (tmp_path / "b" / "config.yaml").write_text("{broken: [")
     assert run_labels(paths) == ["a", "b"]
 

@@ -153,11 +153,11 @@ def test_missing_and_broken_parts_leave_the_rest(tmp_path):
 
 
 def test_names_from_the_data_cannot_inject(tmp_path):
-    run = make_run(tmp_path, pose_errors=(1.0,), depth_errors=None, data='<script>alert("x")</script>')
+    run = make_run(tmp_path, pose_errors=(1.0,), depth_errors=(0.3,), data='<script>alert("x")</script>')
     summary = read_json(run / "summary.json")
     pose = summary["loops"][0]["pose"].pop("street-a")
     summary["loops"][0]["pose"]["<img src=x>"] = pose
-    summary["loops"][0]["name"] = "</style><b>"
+    summary["loops"][0]["name"] = '"><script>x</script></style><b>'
     write_json(run / "summary.json", summary)
     page = Page(write_report(run).read_text())
     assert page.counts.get("script", 0) == 0

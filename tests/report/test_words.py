@@ -32,8 +32,8 @@ def test_better_is_said_with_what_the_figures_rest_on(summary):
     assert " and the depth error fell from " in text[0]
     assert "Abs Rel, 0.001–80 m cap, median scaling, 3 images" in text[0]
     assert "The two pose errors rest on different frames, so compare them with care." in text
-    assert any(s.startswith("Why it ended: the most loops") for s in text)
-    assert any("keeps the result of loop 2" in s for s in text)
+    assert "The 2 refinements that task.max_loops allows were made." in text
+    assert not any("keeps the result" in s for s in text)
 
 
 def test_worse_is_called_worse_and_the_same_is_called_the_same(summary):
@@ -50,6 +50,14 @@ def test_worse_is_called_worse_and_the_same_is_called_the_same(summary):
     text = describe(same)[0]
     assert "pose error stayed at" in text
     assert "depth error stayed at" in text
+
+
+def test_the_loop_that_the_stop_rule_keeps_is_named_if_it_is_not_the_last(summary):
+    summary["stop"] = {"reason": "no improvement", "best_loop": 1}
+    assert describe(summary)[-2:] == [
+        "No improvement.",
+        "The stop rule, which sees no ground truth, keeps the result of loop 1.",
+    ]
 
 
 def test_a_better_loop_in_between_is_named(summary):
