@@ -127,15 +127,34 @@ def complain(message: str) -> None:
     print(f"prgbd: {message}", file=sys.stderr, flush=True)
 
 
+class _Shown(logging.Handler):
+    """Shows the warnings of prgbd's own parts; errors are told by whoever handles them."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(logging.WARNING)
+        self._console = console
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno == logging.WARNING:
+            self._console.print(escape(record.getMessage()), style="dim", highlight=False)
+
+
 @contextlib.contextmanager
-def log_file(path: Path) -> Iterator[None]:
-    """Send the log and all warnings to ``path`` for a while, and keep the libraries' chatter off the terminal."""
+def log_file(path: Path, console: Console) -> Iterator[None]:
+    """Send the log and all warnings to ``path`` for a while, and keep the libraries' chatter off the terminal.
+
+    Args:
+        path: The file; it is appended to.
+        console: Where warnings of prgbd's own parts are shown as well.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     root = logging.getLogger()
     level = root.level
     root.addHandler(handler)
+    shown = _Shown(console)
+    log.addHandler(shown)
     root.setLevel(logging.INFO)
     quiet()
     logging.captureWarnings(True)
@@ -148,6 +167,7 @@ def log_file(path: Path) -> Iterator[None]:
         warned.propagate = propagated
         root.setLevel(level)
         root.removeHandler(handler)
+        log.removeHandler(shown)
         handler.close()
 
 

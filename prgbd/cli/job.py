@@ -105,7 +105,7 @@ def _run(job: Job) -> None:
     folder = job.store.folder
     work: Callable[[Job], None] = import_module(f"prgbd.cli.tasks.{task}").run
     begin = time.monotonic()
-    with log_file(folder / "run.log"):
+    with log_file(folder / "run.log", job.display.console):
         job.display.header(f"prgbd {task}", _facts(job))
         try:
             work(job)

@@ -185,3 +185,22 @@ def test_printing_the_configuration_runs_nothing(cli):
     assert answer.code == 0
     assert "id: test/tiny" in answer.out
     assert not list(Path().iterdir())
+
+
+def test_warnings_of_the_parts_are_shown_and_logged(cli, monkeypatch):
+    import logging
+
+    from tests.loop.fakes import Sideways
+
+    finish = Sideways.finish
+
+    def warns(self):
+        logging.getLogger("prgbd.plugins.slam").warning("compiling [once]")
+        logging.getLogger("lightning.pytorch").warning("buy more")
+        return finish(self)
+
+    monkeypatch.setattr(Sideways, "finish", warns)
+    answer = cli(*FAKES, "task=slam", "out=run")
+    assert "compiling [once]" in answer.out
+    assert "compiling [once]" in Path("run/run.log").read_text()
+    assert "buy more" not in answer.out + answer.err
