@@ -96,7 +96,7 @@ def test_a_step_solves_the_full_normal_equations():
     first = np.searchsorted(pt, np.arange(P + 1))
     offset, start = np.zeros(12, np.int64), np.zeros(12, np.int64)
     S, b = np.empty(envelope(column, free, kf, first, offset, start)), np.empty(12)
-    U, V, W = np.empty((free, 6, 6)), np.empty((P, 3, 3)), np.empty((len(kf), 6, 3))
+    U, V, W = np.empty((free, 6, 6)), np.empty((P, 3, 3)), np.empty((len(kf), 3, 6))
     bu, bv = np.empty((free, 6)), np.empty((P, 3))
     problem = (scene.cTw0, scene.xyz0, column, kf, pt, uvr, weight, camera, active, False)
     schur.normal_equations(*problem, U, V, W, bu, bv)

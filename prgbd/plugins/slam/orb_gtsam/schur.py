@@ -76,7 +76,7 @@ def normal_equations(
     bu: FloatArray,
     bv: FloatArray,
 ) -> None:
-    """Fill the blocks of the normal equations: ``U`` (F, 6, 6), ``V`` (P, 3, 3), ``W`` (M, 6, 3) and right sides.
+    """Fill the blocks of the normal equations: ``U`` (F, 6, 6), ``V`` (P, 3, 3), ``W`` (M, 3, 6) and right sides.
 
     ``column`` (K,) is the number of a free pose among the free ones, or -1 for a fixed one.
     """
@@ -107,7 +107,7 @@ def normal_equations(
             for j in range(i + 1):
                 U[f, i, j] += w0 * G[0, j] + w1 * G[1, j] + w2 * G[2, j]
             for j in range(3):
-                W[m, i, j] = w0 * A[0, j] + w1 * A[1, j] + w2 * A[2, j]
+                W[m, j, i] = w0 * A[0, j] + w1 * A[1, j] + w2 * A[2, j]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -166,7 +166,7 @@ def reduce_to_poses(
                 continue
             for i in range(6):
                 for j in range(3):
-                    Y[i, j] = W[m, i, 0] * inverse[0, j] + W[m, i, 1] * inverse[1, j] + W[m, i, 2] * inverse[2, j]
+                    Y[i, j] = W[m, 0, i] * inverse[0, j] + W[m, 1, i] * inverse[1, j] + W[m, 2, i] * inverse[2, j]
                 b[6 * f + i] -= Y[i, 0] * bv[q, 0] + Y[i, 1] * bv[q, 1] + Y[i, 2] * bv[q, 2]
             for n in range(first[q], first[q + 1]):
                 g = column[kf[n]]
@@ -174,8 +174,9 @@ def reduce_to_poses(
                     continue
                 for i in range(6):
                     o = offset[6 * f + i] + 6 * g
+                    y0, y1, y2 = Y[i, 0], Y[i, 1], Y[i, 2]
                     for j in range(6):
-                        S[o + j] -= Y[i, 0] * W[n, j, 0] + Y[i, 1] * W[n, j, 1] + Y[i, 2] * W[n, j, 2]
+                        S[o + j] -= y0 * W[n, 0, j] + y1 * W[n, 1, j] + y2 * W[n, 2, j]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -212,7 +213,7 @@ def apply_step(
             if f >= 0:
                 for i in range(6):
                     for j in range(3):
-                        s[j] -= W[m, i, j] * x[6 * f + i]
+                        s[j] -= W[m, j, i] * x[6 * f + i]
         for i in range(3):
             new_points[q, i] = points[q, i] + inverse[i, 0] * s[0] + inverse[i, 1] * s[1] + inverse[i, 2] * s[2]
 
@@ -241,7 +242,7 @@ def minimise(
     """
     offset, start = np.zeros(6 * free, np.int64), np.zeros(6 * free, np.int64)
     S, b = np.empty(envelope(column, free, kf, first, offset, start)), np.empty(6 * free)
-    U, V, W = np.empty((free, 6, 6)), np.empty((len(points), 3, 3)), np.empty((len(kf), 6, 3))
+    U, V, W = np.empty((free, 6, 6)), np.empty((len(points), 3, 3)), np.empty((len(kf), 3, 6))
     bu, bv = np.empty((free, 6)), np.empty((len(points), 3))
     new_poses, new_points = poses.copy(), points.copy()
     damping = 1e-5
