@@ -1,0 +1,1 @@
+"""How good depth and trajectories are, by the published protocols."""

@@ -49,7 +49,7 @@ def report(folder: Path, console: object) -> None:
         written = [write_report(folder)]
     else:
         written = list(ablation.join(folder))
-        console.print(tables.to_rich(ablation.ablation_table(folder), console.width))
+        console.print(tables.to_rich(ablation.ablation_table(folder)))
     for path in written:
         console.print(str(path), markup=False, highlight=False, soft_wrap=True)
 

@@ -127,7 +127,7 @@ def _note(runs: list[Run], with_paper: bool) -> str:
 
 
 def run_labels(paths: list[Path]) -> list[str]:
-    """Name each run by what differs: its overrides, else the choices of its groups, else its options, else its folder."""
+    """Name each run by what differs: overrides, else choices of groups, else options, else the folders."""
     for read in (_overrides, _choices, _configuration):
         options = [read(path) for path in paths]
         if not any(options):

@@ -255,7 +255,8 @@ def timeline_figure(timelines: Sequence[Timeline]) -> Figure:
         strip = np.array([[to_rgb(c) for c in colours]]) if colours else np.ones((1, 1, 3))
         extent = (-0.5, max(len(colours), 1) - 0.5, row + 0.36, row - 0.36)
         top.imshow(strip, aspect="auto", extent=extent, interpolation="nearest")
-        top.vlines(line.keyframes, row + 0.05, row + 0.36, color="white", lw=0.8, alpha=0.9)
+        thin = min(0.9, 90 / max(len(line.keyframes), 1))  # many ticks must not hide the state
+        top.vlines(line.keyframes, row + 0.1, row + 0.36, color="white", lw=thin, alpha=0.9)
         frames = np.arange(len(line.inliers))
         x, y = _broken(frames, frames, line.inliers)
         bottom.plot(x, y, color=line.colour, lw=1.3, label=line.label)
