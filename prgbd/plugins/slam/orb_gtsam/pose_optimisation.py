@@ -178,7 +178,10 @@ def _optimise(
                     lower = _cost(trial, xyz, uvr, inv_sigma2, camera, inlier, robust)
                     if lower < cost:
                         cost = lower
-                        pose[:3] = trial[:3]
+                        # Element by element: numba compiles seconds of error messages into a slice assignment.
+                        for i in range(3):
+                            for j in range(4):
+                                pose[i, j] = trial[i, j]
                         damping = max(damping * 0.1, 1e-10)
                         break
                 damping *= 10.0

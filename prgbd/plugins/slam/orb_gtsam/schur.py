@@ -219,6 +219,13 @@ def apply_step(
 
 
 @numba.njit(cache=True, nogil=True)
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    """Copy element by element: numba compiles seconds of error messages into a slice assignment."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@numba.njit(cache=True, nogil=True)
 def minimise(
     poses: FloatArray,
     points: FloatArray,
@@ -257,8 +264,8 @@ def minimise(
                 lower = total_cost(new_poses, new_points, kf, pt, uvr, weight, camera, active, robust)
                 if lower < cost:
                     cost = lower
-                    poses[:] = new_poses
-                    points[:] = new_points
+                    _copy(new_poses.reshape(-1), poses.reshape(-1))
+                    _copy(new_points.reshape(-1), points.reshape(-1))
                     damping = max(damping * 0.1, 1e-10)
                     break
             damping *= 10.0
