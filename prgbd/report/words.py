@@ -81,8 +81,8 @@ def depth_change(summary: dict[str, Any]) -> Change | None:
     """Return the change of Abs Rel between the first and the last loop that have depth figures."""
     loops = [d for d in (loop.get("depth") for loop in summary.get("loops") or []) if d]
     loops = [d for d in loops if d.get("abs_rel") is not None]
-    if not loops:
-        return None
+    if not loops or (len(loops) == 1 and len(summary["loops"]) > 1):
+        return None  # nothing to compare: "stayed the same" would be untrue
     return Change(float(loops[0]["abs_rel"]), float(loops[-1]["abs_rel"]), depth_basis(loops[-1]))
 
 

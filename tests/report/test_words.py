@@ -84,6 +84,11 @@ def test_without_truth_the_reason_is_given(summary):
     assert "fell" not in text
 
 
+def test_depth_of_one_loop_alone_is_no_change(summary):
+    summary["loops"][0]["depth"] = summary["loops"][1]["depth"] = None
+    assert "depth" not in " ".join(describe(summary))
+
+
 def test_a_run_without_loops_is_described():
     assert describe({"loops": []}) == ["The run has not finished a loop yet."]
     assert describe({}) == ["The run has not finished a loop yet."]
