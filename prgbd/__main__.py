@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
@@ -9,10 +10,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from prgbd.cli.arguments import is_multirun, is_true, normalise, value_of
-from prgbd.core.errors import PrgbdError
+from prgbd.core.errors import ConfigError, PrgbdError
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+# Failures of the machine that the user can mend; every other OSError is a bug.
+_MENDABLE = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT)
 
 # What the run of this process failed with. Hydra would add lines of its own to an exception that passes through it.
 _failures: list[Exception] = []
@@ -40,6 +44,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             complain(str(error))
             for note in getattr(error, "__notes__", ()):
                 print(note, file=sys.stderr)
+        return 2
+    except OSError as error:
+        if debug or error.errno not in _MENDABLE:
+            raise
+        complain(f"{error.strerror}: {error.filename or 'while writing'}; make room or choose another folder.")
         return 2
     except KeyboardInterrupt:
         complain("Stopped before anything was started.")
@@ -83,6 +92,10 @@ def _through_hydra(arguments: list[str]) -> int:
         run()
     except (HydraException, OmegaConfBaseException) as error:
         raise explain(error) from error
+    except OSError as error:  # those of the runs are in _failures, so this one is Hydra's
+        raise ConfigError(
+            f"The run's folder {error.filename} cannot be made ({error.strerror}); choose another out=FOLDER."
+        ) from error
     finally:
         sys.argv = argv
         os.environ.pop("HYDRA_FULL_ERROR")

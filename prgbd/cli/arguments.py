@@ -32,7 +32,8 @@ _PLUGIN_OPTION = re.compile(rf"^(?:{'|'.join(KINDS)})\.\w")
 def normalise(argv: Sequence[str]) -> list[str]:
     """Bring the arguments into the one form that Hydra takes.
 
-    Groups are accepted with and without a plus (``+slam=orb_gtsam`` is ``slam=orb_gtsam``). Options of plug-ins are
+    Groups are accepted with and without a plus (``+slam=orb_gtsam`` is ``slam=orb_gtsam``); ``slam=null`` chooses none.
+    Options of plug-ins are
     always accepted here, because only the plug-in knows which it has; it is asked when it is made.
 
     Args:
@@ -56,6 +57,8 @@ def normalise(argv: Sequence[str]) -> list[str]:
         found = _OVERRIDE.match(argument)
         if found is None or (found["value"] is None and found["prefix"] != "~"):
             raise ConfigError(f"'{argument}' is not understood; write option=value, or see --help.")
+        if found["key"] in GROUPS and found["value"] in ("null", "None"):
+            continue
         arguments.append(_without_plus(argument, found))
     return arguments
 

@@ -79,6 +79,9 @@ def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdEr
             "characters in quotes: \"option='value'\"."
         )
     text = str(error)
+    several = re.search(r"Ambiguous value for argument '([^']+)'", text)
+    if several:
+        return ConfigError(f"'{several[1]}' names several values; add -m to run them all, or write a list: key=[a,b].")
     missing_key = re.search(r"Could not override '([^']+)'", text)
     if missing_key:
         return _unknown_option(missing_key[1])

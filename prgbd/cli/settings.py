@@ -38,9 +38,38 @@ def check_settings(config: Mapping[str, Any]) -> None:
         raise ConfigError(f"seed is {seed!r}; it must be a whole number, 0 or more.")
     loop_settings(config, None)
     device(config)
+    _check_cache(config)
     if task == "self_improve":
         refinement_settings(config)
         logger_maker(config)
+    if task in ("self_improve", "pretrain"):
+        _check_trainer(config["trainer"])
+
+
+def _check_cache(config: Mapping[str, Any]) -> None:
+    cache = config["sensing"].get("cache")
+    if cache is None:
+        return
+    try:
+        Path(cache).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"sensing.cache={cache} cannot be made ({error.strerror}); choose another folder.") from error
+
+
+def _check_trainer(options: Mapping[str, Any]) -> None:
+    """Let Lightning look at its options before anything is computed with them."""
+    import lightning
+    from lightning.pytorch.utilities.exceptions import MisconfigurationException
+
+    from prgbd.cli.display import quiet
+
+    quiet()
+    still = {"logger": False, "enable_progress_bar": False, "enable_checkpointing": False}
+    try:
+        lightning.Trainer(**{**options, **still})
+    except (TypeError, ValueError, MisconfigurationException) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"Lightning does not take the options trainer.*: {reason.rstrip('.')}.") from error
 
 
 def number(config: Mapping[str, Any], key: str, *, optional: bool = False) -> Any:

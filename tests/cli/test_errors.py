@@ -47,11 +47,17 @@ from tests.cli.conftest import FAKES
         (["-m", "resume=last"], ["multirun"]),
         (["executor=submitit", *FAKES], ["hydra-submitit-launcher"]),
         (["trainer=gpu", *FAKES], ["trainer=gpu"]),
+        (["trainer.devices=x", *FAKES], ["trainer", "devices"]),
+        (["+trainer.max_steps_=1", *FAKES], ["trainer", "max_steps_"]),
+        (["out=/proc/run", *FAKES], ["/proc/run", "out="]),
+        (["sensing.cache=/proc/cache", *FAKES], ["sensing.cache=/proc/cache"]),
+        (["loss=all,no_smoothness", *FAKES], ["loss=all,no_smoothness", "-m"]),
+        (["slam=null", "depth=test/tiny"], ["slam=ID"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
 def test_bad_arguments(cli, arguments, words):
-    answer = cli(*arguments, *([] if any("resume" in a for a in arguments) else ["out=run"]))
+    answer = cli(*arguments, *([] if any(a.startswith(("resume", "out")) for a in arguments) else ["out=run"]))
     assert answer.code == 2
     for word in words:
         assert word in answer.sentence
