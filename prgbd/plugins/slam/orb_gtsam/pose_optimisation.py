@@ -95,7 +95,7 @@ def _normal_equations(
     H: FloatArray,
     b: FloatArray,
 ) -> None:
-    """Fill ``H`` (lower triangle) and ``b`` of ``H xi = b`` for the left update ``exp(xi) cTw``."""
+    """Fill ``H`` and ``b`` of ``H xi = b`` for the left update ``exp(xi) cTw``."""
     H[:] = 0.0
     b[:] = 0.0
     G, e = np.empty((3, 6)), np.empty(3)
@@ -103,12 +103,11 @@ def _normal_equations(
         w = linearise(pose, xyz[k], uvr[k], inv_sigma2[k], camera, robust, G, e) if active[k] else 0.0
         if w == 0.0:
             continue
-        for r in range(3 if uvr[k, 2] >= 0.0 else 2):
-            for i in range(6):
-                s = w * G[r, i]
-                b[i] += s * e[r]
-                for j in range(i + 1):
-                    H[i, j] += s * G[r, j]
+        for i in range(6):
+            w0, w1, w2 = w * G[0, i], w * G[1, i], w * G[2, i]
+            b[i] += w0 * e[0] + w1 * e[1] + w2 * e[2]
+            for j in range(6):
+                H[i, j] += w0 * G[0, j] + w1 * G[1, j] + w2 * G[2, j]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -175,14 +174,16 @@ def _optimise(
                 if solve_damped(H, b, damping, L, xi):
                     exp_se3_into(xi, delta)
                     compose_into(delta, pose, trial)
-                    lower = _cost(trial, xyz, uvr, inv_sigma2, camera, inlier, robust)
-                    if lower < cost:
-                        cost = lower
+                    reached = _cost(trial, xyz, uvr, inv_sigma2, camera, inlier, robust)
+                    if reached < cost:
+                        cost = reached
                         # Element by element: numba compiles seconds of error messages into a slice assignment.
                         for i in range(3):
                             for j in range(4):
                                 pose[i, j] = trial[i, j]
                         damping = max(damping * 0.1, 1e-10)
+                        break
+                    if reached - cost <= _CONVERGED * cost:
                         break
                 damping *= 10.0
             if not before - cost > _CONVERGED * before + 1e-12:

@@ -244,7 +244,7 @@ def minimise(
 ) -> float:
     """Run Levenberg-Marquardt on ``poses`` and ``points`` in place and return the cost.
 
-    Each iteration linearises once and tries up to eight dampings. It stops early when the cost falls by less than
+    Each iteration linearises once and tries up to eight dampings. It stops early when the cost changes by less than
     ``tolerance`` of itself. Only steps that lower a finite cost are taken, so no NaN gets in.
     """
     offset, start = np.zeros(6 * free, np.int64), np.zeros(6 * free, np.int64)
@@ -261,12 +261,14 @@ def minimise(
             reduce_to_poses(column, kf, first, damping, U, V, W, bu, bv, offset, S, b)
             if solve_envelope(S, offset, start, b):
                 apply_step(poses, points, column, kf, first, damping, V, W, bv, b, new_poses, new_points)
-                lower = total_cost(new_poses, new_points, kf, pt, uvr, weight, camera, active, robust)
-                if lower < cost:
-                    cost = lower
+                reached = total_cost(new_poses, new_points, kf, pt, uvr, weight, camera, active, robust)
+                if reached < cost:
+                    cost = reached
                     _copy(new_poses.reshape(-1), poses.reshape(-1))
                     _copy(new_points.reshape(-1), points.reshape(-1))
                     damping = max(damping * 0.1, 1e-10)
+                    break
+                if reached - cost <= tolerance * cost:
                     break
             damping *= 10.0
         if not before - cost > tolerance * before + 1e-12:
