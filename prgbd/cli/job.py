@@ -28,12 +28,26 @@ META = "run"  # the key of config.yaml under which prgbd keeps its own notes
 
 @dataclass
 class Job:
-    """What a task works with."""
+    """What a task works with.
+
+    Attributes:
+        config: The whole configuration, plain data.
+        parts: The plug-ins.
+        store: The run.
+        display: The terminal and the log.
+        here: Where the user is, which is not where a resumed run works.
+    """
 
     config: Mapping[str, Any]
     parts: Parts
     store: RunStore
     display: Display
+    here: Path
+
+    def shown(self, path: Path) -> str:
+        """Return a path as the user would type it."""
+        path = path.resolve()
+        return str(path.relative_to(self.here)) if path.is_relative_to(self.here) else str(path)
 
 
 def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: Mapping[str, Any]) -> None:
@@ -62,7 +76,7 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
         raise
     try:
         _note_overrides(folder, overrides)
-        _run(Job(config, parts, store, make_display(config)))
+        _run(Job(config, parts, store, make_display(config), Path.cwd()))
     finally:
         store.close()
 
@@ -78,6 +92,7 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
         PrgbdError: If there is no run to go on with, or something the user can mend is wrong.
     """
     quiet()
+    here = Path.cwd()
     folder = folder.resolve()
     store = RunStore.open(folder)
     try:
@@ -89,7 +104,7 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
         with _working_folder(store.config.get(META, {}).get("started_in")):
             parts = make_parts(config)
             display.say(f"Going on with {folder}")
-            _run(Job(config, parts, store, display))
+            _run(Job(config, parts, store, display, here))
     finally:
         store.close()
 
@@ -111,17 +126,17 @@ def _run(job: Job) -> None:
             work(job)
         except KeyboardInterrupt:
             log.info("Stopped by the user.")
-            complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={shown(folder)}")
+            complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={job.shown(folder)}")
             raise SystemExit(130) from None
         except PrgbdError as error:
             log.error("%s\n%s", error, traceback.format_exc())
-            error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={shown(folder)}")
+            error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={job.shown(folder)}")
             raise
         except Exception:
             log.error("prgbd failed\n%s", traceback.format_exc())
             raise
         job.store.finish(DONE)
-        job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {shown(folder)}")
+        job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {job.shown(folder)}")
 
 
 def _note_overrides(folder: Path, overrides: list[str]) -> None:
@@ -141,16 +156,9 @@ def _facts(job: Job) -> dict[str, Any]:
         "data": f"{parts.ids['data']}: {names}{f' and {more} more' if more > 0 else ''}",
         "test": ", ".join(s.name for s in parts.test_sequences),
         "seed": config["seed"],
-        "folder": shown(job.store.folder),
+        "folder": job.shown(job.store.folder),
     }
     return {key: value for key, value in facts.items() if value != ""}
-
-
-def shown(folder: Path) -> str:
-    """The folder as the user would type it here."""
-    with contextlib.suppress(ValueError):
-        return str(folder.resolve().relative_to(Path.cwd()))
-    return str(folder)
 
 
 @contextlib.contextmanager

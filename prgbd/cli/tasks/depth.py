@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.cli import settings
-from prgbd.cli.job import Job, shown
+from prgbd.cli.job import Job
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
@@ -31,7 +31,7 @@ def run(job: Job) -> None:
     for sensor in sensors:
         name = sensor.sequence.name
         written[name] = job.store.step(f"depth/{name}", partial(_write_depth, job, sensor, scale, every))
-        job.display.say(f"  {name}: {written[name]['frames']} depth maps in {shown(job.store.path('depth', name))}")
+        job.display.say(f"  {name}: {written[name]['frames']} depth maps in {job.shown(job.store.path('depth', name))}")
     summary = evaluate(job, sensors, {"depth_maps": written})
     report(job, summary)
 

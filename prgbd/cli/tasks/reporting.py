@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from prgbd.cli.job import Job, shown
+from prgbd.cli.job import Job
 
 
 def report(job: Job, summary: dict[str, Any]) -> None:
@@ -15,4 +15,4 @@ def report(job: Job, summary: dict[str, Any]) -> None:
     write_metrics_csv(summary, job.store.path("metrics.csv"))
     write_report(job.store.folder)
     print_summary(summary, job.display.console)
-    job.display.say(f"Report: {shown(job.store.path('report.html'))}")
+    job.display.say(f"Report: {job.shown(job.store.path('report.html'))}")
