@@ -151,7 +151,7 @@ def test_damped_solver():
 
 def test_the_interpreter_runs_meanwhile():
     xyz, uvr, weight, _ = view(noise=0.5)
-    many = [np.tile(a, (400, 1)) if a.ndim == 2 else np.tile(a, 400) for a in (xyz, uvr, weight)]
+    many = [np.tile(a, (1000, 1)) if a.ndim == 2 else np.tile(a, 1000) for a in (xyz, uvr, weight)]
     optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
     worker = threading.Thread(target=optimise_pose, args=(GUESS, *many, *CAMERA))
     gaps, last = [], time.perf_counter()
@@ -161,4 +161,4 @@ def test_the_interpreter_runs_meanwhile():
         time.sleep(0.001)
         gaps.append(time.perf_counter() - last)
         last = time.perf_counter()
-    assert max(gaps) < 0.7 * (last - begin)
+    assert max(gaps) < 0.8 * (last - begin)

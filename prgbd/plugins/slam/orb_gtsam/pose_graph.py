@@ -19,8 +19,8 @@ BoolArray = NDArray[np.bool_]
 _TIGHT = 1e-6
 # Probability with which a true loop edge must pass for one.
 _INLIER_PROBABILITY = 0.99
-# Most rejected loop edges that are tried again: each costs one optimisation.
-_HEARINGS = 20
+# Most rejected loop edges that are tried again, and iterations of each: a true one converges fast, a false one never.
+_HEARINGS, _HEARING_ITERATIONS = 20, 10
 
 
 def optimise_pose_graph(
@@ -169,6 +169,7 @@ def _readmit(
     loop closing over time for pose graph SLAM", IJRR 2013).
     """
     cost = graph.error(solved)
+    parameters.setMaxIterations(_HEARING_ITERATIONS)
     for factor in rejected[:: -(-len(rejected) // _HEARINGS)]:
         trial = graph.clone()
         trial.add(factor)
