@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import importlib.util
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,22 +99,41 @@ def refinement_settings(config: Mapping[str, Any]) -> RefinementSettings:
     """
     from prgbd.training.refinement_settings import RefinementSettings
 
-    given = {"seed": config["seed"], **config["loss"], **config["training"]}
-    known = RefinementSettings.names()
-    values = {}
+    seed = {"seed": config["seed"]}
+    return RefinementSettings(
+        **seed,
+        **typed_options(RefinementSettings, config["loss"], "loss"),
+        **typed_options(RefinementSettings, config["training"], "training"),
+    )
+
+
+def typed_options(cls: type[Any], given: Mapping[str, Any], group: str) -> dict[str, Any]:
+    """Return options with the types that the fields of a settings dataclass have by default.
+
+    Args:
+        cls: The dataclass.
+        given: Options by name.
+        group: Their group, for messages.
+
+    Raises:
+        ConfigError: If an option is unknown or has another type.
+    """
+    defaults = {field.name: field.default for field in fields(cls)}
+    values: dict[str, Any] = {}
     for name, value in given.items():
-        if name not in known:
-            near = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}."
-            raise ConfigError(f"The refinement has no option '{name}'; {hint}")
-        default = RefinementSettings.__dataclass_fields__[str(name)].default
-        if isinstance(default, bool | str) or default is None:
-            values[str(name)] = value
-            continue
-        group = "loss" if name in config["loss"] else "training"
-        value = number({group: given}, f"{group}.{name}")
-        values[str(name)] = _whole(value, f"{group}.{name}") if isinstance(default, int) else float(value)
-    return RefinementSettings(**values)
+        key = f"{group}.{name}"
+        if name not in defaults:
+            near = difflib.get_close_matches(str(name), list(defaults), n=1)
+            hint = f"did you mean '{group}.{near[0]}'?" if near else f"there are {', '.join(defaults)}."
+            raise ConfigError(f"There is no option '{key}'; {hint}")
+        default = defaults[name]
+        if isinstance(default, bool) and not isinstance(value, bool):
+            raise ConfigError(f"{key} is {value!r}; it must be true or false.")
+        if isinstance(default, int | float) and not isinstance(default, bool):
+            value = number({group: given}, key)
+            value = _whole(value, key) if isinstance(default, int) else float(value)
+        values[str(name)] = value
+    return values
 
 
 def _whole(value: float, key: str) -> int:

@@ -92,7 +92,8 @@ class Refiner:
             "train_samples": outcome.train_samples,
             "held_out_samples": outcome.held_out_samples,
             "keyframes": outcome.keyframes,
-            "skipped": outcome.skipped,
+            "skipped": sum(outcome.skipped.values()),
+            "skipped_because": "; ".join(f"{count} with {why}" for why, count in outcome.skipped.items()) or None,
             "points_per_sample": outcome.points_per_sample,
             "seconds": outcome.seconds,
         }
