@@ -243,6 +243,7 @@ def match_along_epipolar_lines(
     columns: int,
     cell: float,
     F: np.ndarray,
+    ends: np.ndarray,
     epipole: np.ndarray,
     scales: np.ndarray,
     limit: int,
@@ -263,6 +264,7 @@ def match_along_epipolar_lines(
         columns: Grid cells per row.
         cell: Side of a cell, pixels.
         F: (3, 3) fundamental matrix, ``x2' F x1 = 0``.
+        ends: (M, 4) the pixels ``u, v, u, v`` in the second image between which a partner may lie.
         epipole: (2,) pixel of the first camera's centre in the second image; nearby keypoints are skipped.
         scales: (levels,) scale of every pyramid level.
         limit: Largest Hamming distance.
@@ -286,7 +288,13 @@ def match_along_epipolar_lines(
         flat = abs(b) >= abs(a)
         band = 2.0 * scales[-1] + 1.0
         best, index = limit + 1, -1
-        for s in range(columns if flat else grid_rows):
+        along0, along1 = (ends[i, 0], ends[i, 2]) if flat else (ends[i, 1], ends[i, 3])
+        steps = columns if flat else grid_rows
+        s0 = max(min(along0, along1) - band, 0.0)
+        s1 = min(max(along0, along1) + band, steps * cell - 1.0)
+        if not s0 <= s1:
+            continue
+        for s in range(int(s0 / cell), int(s1 / cell) + 1):
             # The cells of column (or row) s that the line and its band pass through.
             t0, t1 = s * cell, (s + 1) * cell
             if flat:

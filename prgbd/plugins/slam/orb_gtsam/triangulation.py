@@ -21,6 +21,9 @@ IntArray = NDArray[np.int64]
 _MAX_PARALLAX_COSINE = 0.9998
 _SCALE_TOLERANCE = 1.5
 _LEAST_BASELINE_OF_DEPTH = 0.01
+# Partners are looked for up to this share of the depth that all but 5 % of the keyframe's points exceed.
+_NEAREST_SHARE = 0.5
+_NEAREST_PERCENTILE = 5.0
 
 
 def create_points(world: Map, rig: Rig, settings: Settings, k: int, other: int) -> IntArray:
@@ -66,12 +69,17 @@ def _far_enough(world: Map, rig: Rig, k: int, other: int) -> bool:
     distance = float(np.linalg.norm(kf.centre[k] - kf.centre[other]))
     if not rig.mono:
         return distance >= rig.baseline
-    points = world.points_of(other)
+    return distance >= _LEAST_BASELINE_OF_DEPTH * _depth(world, other, 50.0) > 0
+
+
+def _depth(world: Map, k: int, percentile: float) -> float:
+    """Percentile of the depths of the points that keyframe ``k`` sees, 0 without points."""
+    points = world.points_of(k)
     points = points[points >= 0]
     if len(points) == 0:
-        return False
-    depth = world.points.xyz[points] @ kf.cTw[other][2, :3] + kf.cTw[other][2, 3]
-    return distance >= _LEAST_BASELINE_OF_DEPTH * float(np.median(depth))
+        return 0.0
+    cTw = world.keyframes.cTw[k]
+    return float(np.percentile(world.points.xyz[points] @ cTw[2, :3] + cTw[2, 3], percentile))
 
 
 def _match(world: Map, rig: Rig, settings: Settings, k: int, other: int) -> tuple[IntArray, IntArray]:
@@ -87,6 +95,7 @@ def _match(world: Map, rig: Rig, settings: Settings, k: int, other: int) -> tupl
         epipole = np.array([rig.camera.fx * tx / tz + rig.camera.cx, rig.camera.fy * ty / tz + rig.camera.cy])
     first, second = world.features(k), world.features(other)
     rows = np.flatnonzero(world.points_of(k) < 0)
+    nearest = _NEAREST_SHARE * _depth(world, k, _NEAREST_PERCENTILE)
     partners = match_along_epipolar_lines(
         rows,
         first.uv,
@@ -101,12 +110,29 @@ def _match(world: Map, rig: Rig, settings: Settings, k: int, other: int) -> tupl
         rig.columns,
         GRID_CELL,
         F,
+        _segments(rig, first, rows, c2Tc1, nearest),
         epipole,
         rig.scales,
         settings.distance_low,
     )
     matched = partners >= 0
     return rows[matched], partners[matched]
+
+
+def _segments(rig: Rig, features: Features, rows: IntArray, c2Tc1: FloatArray, nearest: float) -> FloatArray:
+    """Return where keypoints may lie in the other image, (M, 4): their pixels at infinity and at ``nearest`` depth."""
+    rays = np.column_stack([rig.rays(features.uv[rows]), np.ones(len(rows))]) @ c2Tc1[:3, :3].T
+    c = rig.camera
+    ends = np.empty((len(rows), 4))
+    for first, p in ((0, rays), (2, rays * nearest + c2Tc1[:3, 3])):
+        # What lies beside or behind the other camera leaves that end of the line open.
+        z = p[:, 2]
+        open_end = np.where(p[:, :2] >= 0, 1e9, -1e9)
+        front = z > 1e-3 * (nearest if first else 1.0)
+        safe = np.where(front, z, 1.0)
+        ends[:, first] = np.where(front, c.fx * p[:, 0] / safe + c.cx, open_end[:, 0])
+        ends[:, first + 1] = np.where(front, c.fy * p[:, 1] / safe + c.cy, open_end[:, 1])
+    return ends
 
 
 def _parallax_cosine(c1Tw: FloatArray, c2Tw: FloatArray, rays1: FloatArray, rays2: FloatArray) -> FloatArray:
