@@ -10,6 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
+Colour = Sequence[float] | NDArray[np.float64]
 
 
 def noise(rng: Generator, size: int, cells: int, octaves: int = 5, persistence: float = 0.6) -> Image:
@@ -27,7 +28,7 @@ def noise(rng: Generator, size: int, cells: int, octaves: int = 5, persistence: 
     return (total - total.mean()) / max(float(total.std()), 1e-6)
 
 
-def flat(size: int, colour: Sequence[float]) -> Image:
+def flat(size: int, colour: Colour) -> Image:
     """Return an image of one colour."""
     return np.broadcast_to(np.asarray(colour, np.float32), (size, size, 3)).copy()
 
@@ -38,11 +39,11 @@ def colour(rng: Generator, low: float = 60, high: float = 220, saturation: float
     return np.clip(grey * (1 + 0.6 * saturation * rng.uniform(-1, 1, 3)), 10, 245)
 
 
-def _rectangle(image: Image, x0: float, y0: float, x1: float, y1: float, value: Sequence[float]) -> None:
+def _rectangle(image: Image, x0: float, y0: float, x1: float, y1: float, value: Colour) -> None:
     image[max(0, round(y0)) : max(0, round(y1)), max(0, round(x0)) : max(0, round(x1))] = np.asarray(value, np.float32)
 
 
-def rough(rng: Generator, size: int, base: Sequence[float], contrast: float, cells: int = 8, octaves: int = 6) -> Image:
+def rough(rng: Generator, size: int, base: Colour, contrast: float, cells: int = 8, octaves: int = 6) -> Image:
     """Plain rough matter: plaster, soil, bark, leaves, cloth."""
     return flat(size, base) + contrast * noise(rng, size, cells, octaves, 0.75)[..., None]
 

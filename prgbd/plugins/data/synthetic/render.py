@@ -97,7 +97,7 @@ def draw_quads(
             low, high = _span(dw, w - 1e-9, low, high)
             if low > high:
                 continue
-            for i in range(int(math.ceil(low)), int(math.floor(high)) + 1):
+            for i in range(math.ceil(low), math.floor(high) + 1):
                 inverse = np.float32(w + dw * i)
                 if inverse > nearness[j, i] and inverse < 1.0 / NEAR:
                     nearness[j, i] = inverse
@@ -106,7 +106,7 @@ def draw_quads(
 
 @njit(cache=True)
 def hit_ball(ball: NDArray, origin: NDArray, dx: float, dy: float, dz: float) -> float:
-    """Return the ray parameter of the first hit of an ellipsoid, or -1; the ray has unit z in the camera, so it is z."""
+    """Return the depth of the first hit of an ellipsoid, or -1; the ray (dx, dy, dz) has unit z in the camera."""
     ex, ey, ez = ball[1]
     ox, oy, oz = (origin[0] - ball[0, 0]) / ex, (origin[1] - ball[0, 1]) / ey, (origin[2] - ball[0, 2]) / ez
     rx, ry, rz = dx / ex, dy / ey, dz / ez
@@ -162,7 +162,7 @@ def _hash(a: int, b: int, c: int) -> float:
 @njit(cache=True)
 def smooth_noise(x: float, y: float, seed: int) -> float:
     """Return value noise in [-1, 1] with cells of size 1."""
-    ix, iy = int(math.floor(x)), int(math.floor(y))
+    ix, iy = math.floor(x), math.floor(y)
     fx, fy = x - ix, y - iy
     fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
     top = _hash(ix, iy, seed) * (1 - fx) + _hash(ix + 1, iy, seed) * fx
@@ -176,7 +176,7 @@ def _texel(
 ) -> None:
     """Add a bilinear look-up in one reduced texture, which repeats, to ``rgb``."""
     x, y = x - 0.5, y - 0.5
-    ix, iy = int(math.floor(x)), int(math.floor(y))
+    ix, iy = math.floor(x), math.floor(y)
     fx, fy = x - ix, y - iy
     x0, x1, y0, y1 = ix & (columns - 1), (ix + 1) & (columns - 1), iy & (rows - 1), (iy + 1) & (rows - 1)
     a = offset + 3 * (y0 * columns + x0)

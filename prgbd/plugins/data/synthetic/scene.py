@@ -91,7 +91,7 @@ class SceneBuilder:
         """
         corner, first, second = (np.asarray(v, np.float64) for v in (corner, first, second))
         index, size = self.atlas.index(texture), self.atlas.size(texture)
-        length = np.linalg.norm(first), np.linalg.norm(second)
+        length = float(np.linalg.norm(first)), float(np.linalg.norm(second))
         scale = (size / length[0], size / length[1]) if metres is None else (size / metres, size / metres)
         start = [offset[0] * size, offset[1] * size]
         if mirrored:
@@ -155,6 +155,9 @@ class SceneBuilder:
             if np.dot(np.cross(first, second), outward) < 0:
                 corner, first = corner + first, -first
             self.quad(corner, first, second, texture, metres=1.0, **look)  # type: ignore[arg-type]
+        # Prisms are open above; what a camera at eye level can look into gets a lid.
+        if height < 1.5:
+            self.ball(base + height * UP, (0.97 * radius, 0.01, 0.97 * radius), texture, metres=1.0)
 
     def ball(
         self, centre: ArrayLike, half_axes: ArrayLike, texture: str, *, tint: ArrayLike = (1.0, 1.0, 1.0), metres: float

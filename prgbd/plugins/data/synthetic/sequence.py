@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame, PinholeCamera
+from prgbd.plugins.data.synthetic.indoor import build_room
 from prgbd.plugins.data.synthetic.render import draw_balls, draw_quads, plane_coefficients
 from prgbd.plugins.data.synthetic.scene import Surfaces
 from prgbd.plugins.data.synthetic.shade import shade
@@ -115,7 +116,8 @@ class SyntheticSequence(Sequence):
     @property
     def _world(self) -> World:
         if self._built is None:
-            self._built = build_street(self.seed, len(self), self.moving_objects, self.reverse)
+            build = build_street if self.scene == "street" else build_room
+            self._built = build(self.seed, len(self), self.moving_objects, self.reverse)
         return self._built
 
     def _rendered(self, index: int) -> tuple[Frame, NDArray[np.float32]]:
@@ -208,9 +210,7 @@ def _check(
     exposure: float,
 ) -> None:
     if scene not in SCENES:
-        raise ConfigError(
-            f"There is no synthetic scene '{scene}'; the option scene must be one of {', '.join(SCENES)}."
-        )
+        raise ConfigError(f"There is no synthetic scene '{scene}'; the option scene is one of {', '.join(SCENES)}.")
     if path not in PATHS:
         raise ConfigError(f"There is no synthetic path '{path}'; the option path must be one of {', '.join(PATHS)}.")
     for name, value, least in (

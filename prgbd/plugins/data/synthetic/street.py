@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from prgbd.plugins.data.synthetic import motion, painting
+from prgbd.plugins.data.synthetic import motion, painting, things
 from prgbd.plugins.data.synthetic.scene import SceneBuilder, Surfaces
 from prgbd.plugins.data.synthetic.textures import TextureAtlas
 from prgbd.plugins.data.synthetic.world import Mover, World, lit
@@ -34,7 +36,7 @@ def build_street(seed: int, frames: int, movers: int, reverse: bool) -> World:
     half = np.array([rng.uniform(28, 42), rng.uniform(24, 36)])
     builder = SceneBuilder(atlas)
     _roads(rng, builder, half)
-    cars = [_car(rng, atlas) for _ in range(8)]
+    cars = [things.car(rng, atlas) for _ in range(8)]
     parts = []
     for block in _blocks(half):
         parts += _block(rng, builder, block, cars)
@@ -83,21 +85,13 @@ def _textures(rng: Generator) -> TextureAtlas:
     return atlas
 
 
-def _floor(
-    builder: SceneBuilder, x0: float, x1: float, z0: float, z1: float, height: float, texture: str, **look: float
-) -> None:
-    """Add a level rectangle that is seen from above, ``height`` metres above the road."""
-    # (dz) x (dx) points to +y, which is down; so the first edge runs along x and the second along -z.
-    builder.quad((x0, -height, z1), (0, 0, z0 - z1), (x1 - x0, 0, 0), texture, **look)  # type: ignore[arg-type]
-
-
 def _roads(rng: Generator, builder: SceneBuilder, half: NDArray[np.float64]) -> None:
     x, z = half
     far_x, far_z = x + STUB, z + STUB
     for side in (-1, 1):
-        _floor(builder, -far_x, far_x, side * z - ROAD, side * z + ROAD, 0, "asphalt", metres=16, variation=0.25)
+        things.level(builder, -far_x, far_x, side * z - ROAD, side * z + ROAD, 0, "asphalt", metres=16, variation=0.25)
         for low, high in ((-far_z, -z - ROAD), (-z + ROAD, z - ROAD), (z + ROAD, far_z)):
-            _floor(builder, side * x - ROAD, side * x + ROAD, low, high, 0, "asphalt", metres=16, variation=0.25)
+            things.level(builder, side * x - ROAD, side * x + ROAD, low, high, 0, "asphalt", metres=16, variation=0.25)
     for along_x, reach, cross, line in ((True, far_x, x, z), (False, far_z, z, x)):
         for side in (-1, 1):
             for start in np.arange(-reach, reach, 5.0):
@@ -129,7 +123,7 @@ def _strip(
     """Add a mark on a road that runs along x (or z) at z (or x) = line."""
     span, across = (start, start + length), (line + aside - width / 2, line + aside + width / 2)
     x, z = (span, across) if along_x else (across, span)
-    _floor(builder, *x, *z, height, texture, metres=2.0)
+    things.level(builder, *x, *z, height, texture, metres=2.0)
 
 
 def _blocks(half: NDArray[np.float64]) -> list[tuple[float, float, float, float, str]]:
@@ -149,7 +143,7 @@ def _block(
 ) -> list[Surfaces]:
     """Add the pavement of a block and what stands on and beside it; return its parked cars."""
     x0, x1, z0, z1, sides = block
-    _floor(builder, x0, x1, z0, z1, KERB, "paving", metres=5, variation=0.2)
+    things.level(builder, x0, x1, z0, z1, KERB, "paving", metres=5, variation=0.2)
     builder.box((x0, -KERB, z0), (x1, 0.0, z1), "kerb", faces="xXzZ", metres=1.3)
     parked = []
     for side in sides:
@@ -216,24 +210,14 @@ def _garden(
 ) -> None:
     """A gap between houses: grass, a hedge in front, trees and a wall behind."""
     x0, x1, z0, z1 = _span(along_x, a0, a1, front, front - outwards * 9)
-    _floor(builder, x0, x1, z0, z1, KERB + 0.02, "grass", metres=3)
+    things.level(builder, x0, x1, z0, z1, KERB + 0.02, "grass", metres=3)
     x0, x1, z0, z1 = _span(along_x, a0, a1, front, front - outwards * 0.7)
     builder.box((x0, -rng.uniform(0.8, 1.5), z0), (x1, 0.0, z1), "hedge", metres=2.5)
     x0, x1, z0, z1 = _span(along_x, a0, a1, front - outwards * 9, front - outwards * 10)
     builder.box((x0, -rng.uniform(3, 8), z0), (x1, 0.0, z1), f"side{rng.integers(SIDES)}", metres=5)
     for _ in range(2):
         a, c = rng.uniform(a0 + 1, a1 - 1), front - outwards * rng.uniform(2.5, 7)
-        _tree(rng, builder, np.array([a, -KERB, c]) if along_x else np.array([c, -KERB, a]), 1.3)
-
-
-def _tree(rng: Generator, builder: SceneBuilder, base: NDArray[np.float64], size: float = 1.0) -> None:
-    height = size * rng.uniform(2.6, 3.6)
-    builder.post(base, height, rng.uniform(0.1, 0.2), "bark")
-    tint = rng.uniform(0.75, 1.25) * rng.uniform(0.9, 1.1, 3)
-    for _ in range(int(rng.integers(2, 5))):
-        centre = base + [*(size * rng.uniform(-0.7, 0.7, 1)), -height - size * rng.uniform(0, 1.2), 0]
-        centre[2] += size * rng.uniform(-0.7, 0.7)
-        builder.ball(centre, size * rng.uniform(0.8, 1.5, 3), "leaves", tint=tint, metres=2.2)
+        things.tree(rng, builder, np.array([a, -KERB, c]) if along_x else np.array([c, -KERB, a]), 1.3)
 
 
 def _furniture(
@@ -245,10 +229,11 @@ def _furniture(
         base = np.array([a, -KERB, c]) if along_x else np.array([c, -KERB, a])
         kind = rng.choice(["tree", "tree", "lamp", "sign", "bin", "cabinet", "none"])
         if kind == "tree":
-            _tree(rng, builder, base)
+            things.tree(rng, builder, base)
         elif kind == "lamp":
             builder.post(base, 5.0, 0.08, "metal")
-            builder.box(base + [-0.3, -5.2, -0.3], base + [0.3, -5.0, 0.3], "paint", metres=1, faces="xXzZyY")
+            head, reach = base - np.array([0, 5.1, 0]), np.array([0.3, 0.1, 0.3])
+            builder.box(head - reach, head + reach, "paint", metres=1, faces="xXzZyY")
         elif kind == "sign":
             builder.post(base, 2.4, 0.05, "metal")
             reach = (np.array([0.03, 0.0, 0.4]) if along_x else np.array([0.4, 0.0, 0.03])) * rng.uniform(0.8, 1.3)
@@ -262,31 +247,6 @@ def _furniture(
             builder.box(base - size - [0, rng.uniform(0.9, 1.4), 0], base + size, texture)
 
 
-def _car(rng: Generator, atlas: TextureAtlas) -> Surfaces:
-    """Return a car around the origin, heading along +z."""
-    builder = SceneBuilder(atlas)
-    half, width, height = rng.uniform(1.9, 2.3), rng.uniform(0.8, 0.88), rng.uniform(0.8, 0.95)
-    paint = painting.colour(rng, 50, 235, 0.5) / 225
-    style = rng.integers(2)
-    skin = {"x": f"car_side{style}", "X": f"car_side{style}", "side": f"car_end{style}", "y": "paint"}
-    builder.box((-width, -height, -half), (width, -0.22, half), skin, tint=paint)
-    cabin = height + rng.uniform(0.5, 0.65)
-    front, back = rng.uniform(0.3, 0.7), -half + rng.uniform(0.1, 0.5)
-    skin = {"side": f"car_glass{style}", "y": "paint"}
-    builder.box((-width + 0.1, -cabin, back), (width - 0.1, -height, front), skin, tint=0.5 + 0.5 * paint)
-    _floor(builder, -width - 0.1, width + 0.1, -half - 0.1, half + 0.1, 0.012, "shadow", metres=1)
-    for x in (-width + 0.1, width - 0.1):
-        for z in (-0.62 * half, 0.62 * half):
-            builder.box((x - 0.1, -0.3, z - 0.3), (x + 0.1, 0.0, z + 0.3), "shadow", metres=1, faces="xXzZ")
-    return builder.finish()
-
-
-def _turned(heading: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) that turns +z to the heading (x, z)."""
-    x, z = heading
-    return np.array([[z, 0, x], [0, 1, 0], [-x, 0, z]])
-
-
 def _parked(
     rng: Generator, along_x: bool, low: float, high: float, edge: float, outwards: float, cars: list[Surfaces]
 ) -> list[Surfaces]:
@@ -298,7 +258,7 @@ def _parked(
             c = edge + outwards * rng.uniform(0.95, 1.1)
             heading = rng.choice([-1.0, 1.0])
             where = np.array([place, 0, c]) if along_x else np.array([c, 0, place])
-            turn = _turned(np.array([heading, 0.0]) if along_x else np.array([0.0, heading]))
+            turn = things.turned(np.array([heading, 0.0]) if along_x else np.array([0.0, heading]))
             found.append(cars[rng.integers(len(cars))].moved(turn, where))
         place += rng.uniform(5.4, 8)
     return found
@@ -340,7 +300,7 @@ def _movers(
     movers = []
     for i in range(count):
         kind = i % 3
-        shape = _walker(rng, atlas) if kind == 2 else _car(rng, atlas)
+        shape = things.walker(rng, atlas) if kind == 2 else things.car(rng, atlas)
         gap, pace = 22.0 + 14.0 * (i // 3) + rng.uniform(0, 6), rng.uniform(0.4, 0.8)
         if kind == 2:
             pace = rng.choice([-1, 1]) * rng.uniform(0.1, 0.16)
@@ -348,7 +308,11 @@ def _movers(
     return movers
 
 
-def _track(path: motion.ClosedPath, distance: NDArray[np.float64], kind: int, gap: float, pace: float):  # noqa: ANN202
+def _track(
+    path: motion.ClosedPath, distance: NDArray[np.float64], kind: int, gap: float, pace: float
+) -> Callable[[int], NDArray[np.float64]]:
+    """Return the motion of one mover: 0 oncoming, 1 ahead on the same lane, 2 on the pavement."""
+
     def pose(frame: int) -> NDArray[np.float64]:
         if kind == 0:  # oncoming
             place, aside, sign = distance[0] + 1.6 * gap - pace * frame, -LANE, -1.0
@@ -359,18 +323,8 @@ def _track(path: motion.ClosedPath, distance: NDArray[np.float64], kind: int, ga
         where = np.array([place])
         ground, heading = path.at(where, aside)[0], sign * path.forward(where)[0]
         out = np.eye(4)
-        out[:3, :3] = _turned(heading)
+        out[:3, :3] = things.turned(heading)
         out[:3, 3] = [ground[0], -KERB if kind == 2 else 0.0, ground[1]]
         return out
 
     return pose
-
-
-def _walker(rng: Generator, atlas: TextureAtlas) -> Surfaces:
-    builder = SceneBuilder(atlas)
-    tint = painting.colour(rng, 60, 200, 0.6) / 150
-    builder.ball((0, -1.6, 0), (0.11, 0.14, 0.12), "bark", tint=(2.2, 1.9, 1.7), metres=0.5)
-    builder.ball((0, -1.15, 0), (0.24, 0.36, 0.18), "poster1", tint=tint, metres=0.8)
-    builder.ball((-0.1, -0.42, 0), (0.1, 0.44, 0.11), "bark", tint=tint, metres=0.8)
-    builder.ball((0.1, -0.42, 0), (0.1, 0.44, 0.11), "bark", tint=tint, metres=0.8)
-    return builder.finish()
