@@ -32,7 +32,8 @@ _PATCH_WIDTHS = _patch_widths()
 @numba.njit(cache=True, nogil=True, inline="always")
 def _highest_arc(
     p0: np.int16, p1: np.int16, p2: np.int16, p3: np.int16, p4: np.int16, p5: np.int16, p6: np.int16, p7: np.int16,
-    p8: np.int16, p9: np.int16, p10: np.int16, p11: np.int16, p12: np.int16, p13: np.int16, p14: np.int16, p15: np.int16,
+    p8: np.int16, p9: np.int16, p10: np.int16, p11: np.int16, p12: np.int16, p13: np.int16, p14: np.int16,
+    p15: np.int16,
 ) -> np.int16:  # fmt: skip
     """Return the highest value that 9 neighbours on the circle of 16 all reach.
 

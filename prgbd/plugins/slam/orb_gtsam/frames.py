@@ -23,6 +23,7 @@ class TrackedFrame:
     Attributes:
         index: Position in the sequence.
         timestamp: Seconds.
+        ordinal: How many frames were given before it, whatever their index.
         features: Its keypoints.
         cTw: (4, 4) world to camera, as far as known.
         points: (N,) int64 map point of every keypoint, -1 for none.
@@ -31,6 +32,7 @@ class TrackedFrame:
 
     index: int
     timestamp: float
+    ordinal: int
     features: Features
     cTw: FloatArray = field(default_factory=lambda: np.eye(4))
     points: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))

@@ -29,6 +29,10 @@ class History:
         self.states.append(state.value)
         self.inliers.append(inliers)
 
+    def amend(self, ordinal: int, state: TrackingState, inliers: int) -> None:
+        """Say anew what became of frame number ``ordinal``."""
+        self.states[ordinal], self.inliers[ordinal] = state.value, inliers
+
     def place(self, frame_index: int, timestamp: float, reference: int, cTref: FloatArray, wTc: FloatArray) -> None:
         """Store the pose of a frame relative to keyframe ``reference``, and as it is known now."""
         self._rows.append((frame_index, timestamp, reference, cTref, wTc))

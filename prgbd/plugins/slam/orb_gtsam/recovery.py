@@ -32,7 +32,7 @@ def recover(tracker: Tracker, frame: TrackedFrame) -> int:
         if not _pose_against(tracker, frame, k):
             continue
         tracker.reference = k
-        before, tracker.recovered_at = tracker.recovered_at, frame.index
+        before, tracker.recovered_at = tracker.recovered_at, frame.ordinal
         inliers = tracker.from_local_map(frame, settings.min_inliers_recovered)
         if inliers:
             return inliers

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from prgbd.core.errors import ConfigError, ContractError
 from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
-from prgbd.plugins.slam.orb_gtsam import initialisation
 from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
 from prgbd.plugins.slam.orb_gtsam.diagnostics import depth_ratio
 from prgbd.plugins.slam.orb_gtsam.features import OrbExtractor
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.global_adjustment import adjust_map
 from prgbd.plugins.slam.orb_gtsam.history import History
+from prgbd.plugins.slam.orb_gtsam.initialisation import DepthStarter, Starter
 from prgbd.plugins.slam.orb_gtsam.keyframe_decision import needs_keyframe
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
@@ -28,6 +28,7 @@ from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
+from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
 
 log = logging.getLogger(__name__)
 
@@ -83,8 +84,11 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
         self._tracker = Tracker(settings, self._rig, self._map, self._near)
         self._history = History()
-        self._starter = initialisation.starter(
-            settings, self._rig, self._mapper, settings.keypoints_to_start(camera.width, camera.height), seed
+        least = settings.keypoints_to_start(camera.width, camera.height)
+        self._starter: Starter = (
+            TwoViewStarter(settings, self._rig, self._mapper, least, seed)
+            if self._rig.mono
+            else DepthStarter(self._mapper, least)
         )
         self._fps = fps
         self._started = False
@@ -104,7 +108,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         with self._watch("features"):
             depth = None if self._rig.mono else frame.depth
             features = self._extractor.extract(frame.image, depth, self._rig.bf)
-        current = TrackedFrame(frame.index, frame.timestamp, features)
+        current = TrackedFrame(frame.index, frame.timestamp, len(self._history.states), features)
         with self._watch("frame_total"):
             result = self._continue(current) if self._started else self._start(current)
         self._history.add(result.state, result.inliers)
@@ -134,8 +138,9 @@ class OrbGtsamSLAM(GeometricSLAM):
         tracker.refer(frame)
         for placed in started.earlier:
             self._place(placed.frame_index, placed.timestamp, placed.reference, placed.cTw)
+            self._history.amend(placed.ordinal, TrackingState.OK, placed.inliers)
         self._place(frame.index, frame.timestamp, started.reference, frame.cTw)
-        self._started, self._lost, self._last_keyframe = True, 0, frame.index
+        self._started, self._lost, self._last_keyframe = True, 0, frame.ordinal
         inliers = len(frame.matched())
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, True)
 
@@ -161,13 +166,13 @@ class OrbGtsamSLAM(GeometricSLAM):
             frame,
             inliers,
             tracker.reference,
-            frame.index - self._last_keyframe,
+            frame.ordinal - self._last_keyframe,
             self._fps,
         )
         if keyframe:
             # Outliers go along: bundle adjustment, not one frame, decides about them.
             k = self._mapper.add_keyframe(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
-            tracker.reference, self._last_keyframe = k, frame.index
+            tracker.reference, self._last_keyframe = k, frame.ordinal
             frame.points = self._map.points_of(k).copy()
         tracker.remember(frame)
         frame_cTw = frame.cTw

@@ -64,8 +64,7 @@ class Tracker:
     def remember(self, frame: TrackedFrame) -> None:
         """Take a tracked frame as the previous one of the next."""
         if self.last is not None:
-            before = self.last_pose() if self.last.frame.index >= 0 else None
-            self.velocity = None if before is None else frame.cTw @ inverse(before)
+            self.velocity = frame.cTw @ inverse(self.last_pose())
         self.refer(frame)
 
     def refer(self, frame: TrackedFrame) -> None:
@@ -81,7 +80,7 @@ class Tracker:
         if around is None:
             return 0
         self.reference = around.reference
-        recently = frame.index - self.recovered_at < 2
+        recently = frame.ordinal - self.recovered_at < 2
         factor = 1.0 if self.rig.mono else settings.window_local_map
         match_local_map(
             world, frame, around.points, self.rig, settings, factor=_FACTOR_AFTER_RECOVERY if recently else factor
