@@ -118,28 +118,52 @@ def hit_ball(ball: NDArray, origin: NDArray, dx: float, dy: float, dz: float) ->
 
 
 @njit(cache=True)
+def _ball_bounds(ball: NDArray, cRw: NDArray, origin: NDArray, K: NDArray, width: float, height: float) -> NDArray:
+    """Return the pixel bounds u0, u1, v0, v1 of an ellipsoid, empty (u0 > u1) where it is out of view.
+
+    Wholly in front of the camera, they come from its dual conic ``E - c c^T``, E the squared half axes turned into the
+    camera's frame and c the centre; an ellipsoid around the camera's plane may cover the whole image.
+    """
+    c = cRw @ (ball[0] - origin)
+    axes = cRw * ball[1]
+    squared = axes @ axes.T
+    out = np.array([1.0, 0.0, 1.0, 0.0])
+    deep = math.sqrt(squared[2, 2])
+    if c[2] + deep <= NEAR:
+        return out
+    # Wholly outside one of the four sides of the view: the farthest point towards the inside is still outside.
+    for axis in range(2):
+        low, high = (-0.5 - K[2 + axis]) / K[axis], ((width, height)[axis] - 0.5 - K[2 + axis]) / K[axis]
+        for sign, slope in ((1.0, low), (-1.0, high)):
+            n = np.zeros(3)
+            n[axis], n[2] = sign, -sign * slope
+            if n @ c + math.sqrt(n @ squared @ n) < 0:
+                return out
+    if c[2] - deep <= NEAR:
+        return np.array([0.0, width, 0.0, height])
+    for axis in range(2):
+        p, q = squared[axis, 2] - c[axis] * c[2], squared[2, 2] - c[2] * c[2]
+        root = math.sqrt(max(p * p - (squared[axis, axis] - c[axis] * c[axis]) * q, 0.0))
+        out[2 * axis] = K[axis] * (p + root) / q + K[2 + axis]
+        out[2 * axis + 1] = K[axis] * (p - root) / q + K[2 + axis]
+    return out
+
+
+@njit(cache=True)
 def draw_balls(
     balls: NDArray, first: int, cRw: NDArray, origin: NDArray, K: NDArray, seen: NDArray, nearness: NDArray
 ) -> None:
     """Write the ellipsoids into the sample buffers; their numbers begin with ``first``."""
     rows, columns = seen.shape
     for k in range(balls.shape[0]):
-        c = cRw @ (balls[k, 0] - origin)
-        r = max(balls[k, 1, 0], balls[k, 1, 1], balls[k, 1, 2])
-        z = c[2] - r
-        if c[2] < -r or c[0] ** 2 + c[1] ** 2 + c[2] ** 2 < r * r:
+        bounds = _ball_bounds(balls[k], cRw, origin, K, 0.5 * columns, 0.5 * rows)
+        if bounds[0] > bounds[1]:
             continue
-        if z > NEAR:
-            # Bounds of the enclosing cube are enough.
-            u0 = min((c[0] - r) / z, (c[0] - r) / (z + 2 * r)) * K[0] + K[2]
-            u1 = max((c[0] + r) / z, (c[0] + r) / (z + 2 * r)) * K[0] + K[2]
-            v0 = min((c[1] - r) / z, (c[1] - r) / (z + 2 * r)) * K[1] + K[3]
-            v1 = max((c[1] + r) / z, (c[1] + r) / (z + 2 * r)) * K[1] + K[3]
-        else:
-            u0, u1, v0, v1 = -1.0, float(columns), -1.0, float(rows)
-        for j in range(max(0, int(2 * v0)), min(rows - 1, int(2 * v1) + 1) + 1):
+        i0, i1 = max(0.0, 2 * bounds[0] - 1), min(columns - 1.0, 2 * bounds[1] + 2)
+        j0, j1 = max(0.0, 2 * bounds[2] - 1), min(rows - 1.0, 2 * bounds[3] + 2)
+        for j in range(int(j0), int(j1) + 1):
             y = (0.5 * j - 0.25 - K[3]) / K[1]
-            for i in range(max(0, int(2 * u0)), min(columns - 1, int(2 * u1) + 1) + 1):
+            for i in range(int(i0), int(i1) + 1):
                 x = (0.5 * i - 0.25 - K[2]) / K[0]
                 dx = cRw[0, 0] * x + cRw[1, 0] * y + cRw[2, 0]
                 dy = cRw[0, 1] * x + cRw[1, 1] * y + cRw[2, 1]
