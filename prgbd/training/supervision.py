@@ -124,6 +124,10 @@ def keyframe_samples(
 ) -> Supervision:
     """Make one training sample of every keyframe that has neighbours on both sides.
 
+    Points that lie farther away than anything that the depth sensor measured are left out: their rays are nearly
+    parallel, SLAM knows hardly more than their direction, and one of them at 10 km outweighs everything else in a loss
+    on depth.
+
     Args:
         result: SLAM's output.
         min_keyframes: See ``clean_observations``.
@@ -169,6 +173,8 @@ class _Views:
 
     def __init__(self, result: SlamResult, observations: Observations) -> None:
         self.result = result
+        measured = result.observations.depth
+        self.farthest = float(measured.max(initial=0)) or np.inf
         order = np.lexsort((observations.point, observations.keyframe))
         bounds = np.searchsorted(observations.keyframe[order], np.arange(len(result.keyframes) + 1))
         self._point = observations.point[order]
@@ -210,6 +216,8 @@ class _Views:
         common = np.intersect1d(np.intersect1d(self.points(row), self.points(k1)), self.points(k2))
         xyz = self.result.points.xyz[common]
         depth = np.stack([points_in_camera(keyframes.wTc[r], xyz)[:, 2] for r in rows])
+        known = (depth <= self.farthest).all(axis=0)
+        common, depth = common[known], depth[:, known]
         uv = np.stack([self._uv[self._slices[r]][np.searchsorted(self.points(r), common)] for r in rows])
         wTc = keyframes.wTc[row]
         return KeyframeSample(

@@ -45,18 +45,20 @@ class WallSequence(Sequence):
         return Frame(index, float(self.timestamps[index]), image.reshape(shape))
 
 
-def true_slam_result(sequence, every=3, points=150, seed=0, mode="rgbd", scale=1.0, map_of=None, lost=()) -> SlamResult:
+def true_slam_result(
+    sequence, every=3, points=150, seed=0, mode="rgbd", scale=1.0, map_of=None, lost=(), max_depth=60.0
+) -> SlamResult:
     """What SLAM would return if it made no error: keyframes every few frames, points seen where they project.
 
-    Works for any sequence with true poses and depth. ``scale`` multiplies the world, ``lost`` frames have no pose, and
-    ``map_of`` gives the map of each keyframe.
+    Works for any sequence with true poses and depth. ``scale`` multiplies the world, ``lost`` frames have no pose,
+    ``map_of`` gives the map of each keyframe, and points are made no farther than ``max_depth`` metres.
     """
     rng = np.random.default_rng(seed)
     camera, poses = sequence.camera.undistorted(), sequence.poses.copy()
     frames = np.array([i for i in range(len(sequence)) if i not in lost])
     rows = np.array([i for i in range(0, len(sequence), every) if i not in lost])
     depths = {int(f): sequence.depth(int(f)) for f in rows}
-    xyz = np.concatenate([_drawn(camera, poses[f], depths[int(f)], points, rng) for f in rows])
+    xyz = np.concatenate([_drawn(camera, poses[f], depths[int(f)], points, rng, max_depth) for f in rows])
     seen = [_visible(camera, poses[f], depths[int(f)], xyz) for f in rows]
     poses[:, :3, 3] *= scale
     observations = Observations(
@@ -79,10 +81,10 @@ def true_slam_result(sequence, every=3, points=150, seed=0, mode="rgbd", scale=1
     )
 
 
-def _drawn(camera, wTc, depth, count, rng):
+def _drawn(camera, wTc, depth, count, rng, max_depth):
     v = rng.integers(0, camera.height, count)
     u = rng.integers(0, camera.width, count)
-    known = (depth[v, u] > 0) & (depth[v, u] < 60)
+    known = (depth[v, u] > 0) & (depth[v, u] < max_depth)
     v, u = v[known], u[known]
     return camera.backproject(np.stack([u, v], 1), depth[v, u]) @ wTc[:3, :3].T + wTc[:3, 3]
 

@@ -116,6 +116,20 @@ def test_a_neighbour_without_common_points_is_passed_over(result):
     assert by_frame[3].uv.shape == (3, 0, 2)
 
 
+def test_points_beyond_the_sensors_reach_are_left_out(result):
+    """Rays that hardly cross put a point anywhere: here it slides out along the ray of keyframe 1."""
+    point = int(supervision.keyframe_samples(result).samples[0].point[0])
+    xyz, wTc = result.points.xyz.copy(), result.keyframes.wTc[1]
+    xyz[point] = wTc[:3, 3] + 5000 * (xyz[point] - wTc[:3, 3])
+    far = replace(result, points=replace(result.points, xyz=xyz))
+    found = supervision.keyframe_samples(far, max_reprojection_error=1e4).samples[0]
+    assert point not in found.point
+    assert found.depth.max() <= result.observations.depth.max()
+    # Without any measured depth (monocular SLAM) nothing is known about the reach.
+    blind = replace(far, observations=replace(far.observations, depth=np.zeros_like(far.observations.depth)))
+    assert point in supervision.keyframe_samples(blind, max_reprojection_error=1e4).samples[0].point
+
+
 def test_an_empty_result_gives_nothing():
     result = tiny([0, 0])
     empty = replace(
