@@ -31,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0, 2 for something the user can mend, 1 for a bug, 130 after Ctrl-C.
     """
+    # Threads that spin while they wait make everything ten times slower as soon as the machine has other work.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = is_true(value_of(arguments, "debug")) or os.environ.get("HYDRA_FULL_ERROR") == "1"
     from prgbd.cli.display import complain

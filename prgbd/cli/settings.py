@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from prgbd.cli.parts import Parts
     from prgbd.loop.self_improving import LoopSettings
     from prgbd.loop.summary import RunIdentity
+    from prgbd.training.pretraining_settings import PretrainingSettings
     from prgbd.training.refinement_settings import RefinementSettings
 
 
@@ -41,8 +42,10 @@ def check_settings(config: Mapping[str, Any]) -> None:
     _check_cache(config)
     if task == "self_improve":
         refinement_settings(config)
-        logger_maker(config)
+    if task == "pretrain":
+        pretraining_settings(config)
     if task in ("self_improve", "pretrain"):
+        logger_maker(config)
         _check_trainer(config["trainer"])
 
 
@@ -105,6 +108,18 @@ def refinement_settings(config: Mapping[str, Any]) -> RefinementSettings:
         **typed_options(RefinementSettings, config["loss"], "loss"),
         **typed_options(RefinementSettings, config["training"], "training"),
     )
+
+
+def pretraining_settings(config: Mapping[str, Any]) -> PretrainingSettings:
+    """Make the settings of pre-training from ``pretraining`` and ``seed``.
+
+    Raises:
+        ConfigError: If an option is unknown or has a value that cannot work.
+    """
+    from prgbd.training.pretraining_settings import PretrainingSettings
+
+    options = typed_options(PretrainingSettings, config["pretraining"], "pretraining")
+    return PretrainingSettings(seed=config["seed"], **options)
 
 
 def typed_options(cls: type[Any], given: Mapping[str, Any], group: str) -> dict[str, Any]:

@@ -131,7 +131,7 @@ class SelfImprovingLoop:
         loops: list[dict[str, Any]] = []
         stop: dict[str, Any] = {"reason": None, "best_loop": 0}
         if self.settings.max_loops:
-            stop["reason"] = f"The {self.settings.max_loops} refinements that task.max_loops allows were made."
+            stop["reason"] = f"All refinements that task.max_loops={self.settings.max_loops} allows were made."
         for loop in range(self.settings.max_loops + 1):
             self.monitor.say(f"Loop {loop}: {loop_name(loop)}")
             entry = self._sense_and_localise(loop)

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from prgbd.cli.arguments import GROUPS, normalise
 from prgbd.cli.hydra_bridge import known_options
 from prgbd.core.registry import KINDS, REGISTRY
+from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
 
 CONF = Path(str(resources.files("prgbd.conf")))
@@ -41,6 +42,11 @@ def test_refinement_defaults_are_the_paper_s_and_said_in_full():
     defaults = {f.name: f.default for f in fields(RefinementSettings) if f.name != "seed"}
     assert given == defaults
     assert {k: config["loss"][k] for k in TERMS} == dict(zip(TERMS, (1.0, 0.001, 1.0, 1.0), strict=True))
+
+
+def test_pretraining_defaults_are_said_in_full():
+    defaults = {f.name: f.default for f in fields(PretrainingSettings) if f.name != "seed"}
+    assert composed()["pretraining"] == defaults
 
 
 @pytest.mark.parametrize("term", TERMS)

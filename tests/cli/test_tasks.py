@@ -204,3 +204,16 @@ def test_warnings_of_the_parts_are_shown_and_logged(cli, monkeypatch):
     assert "compiling [once]" in answer.out
     assert "compiling [once]" in Path("run/run.log").read_text()
     assert "buy more" not in answer.out + answer.err
+
+
+def test_pretraining_leaves_weights_that_the_loop_can_start_from(run, cli):
+    options = ("task=pretrain", "pretraining.epochs=2", "pretraining.learning_rate=1e-2", "data.frames=20")
+    summary = run(*options, fakes=("depth=test/pose", "data=test/wall"))
+    assert files(Path("run/weights")) == {"model.pth"}
+    (loop,) = summary["loops"]
+    assert loop["training"]["held_out_after"] < loop["training"]["held_out_before"]
+    assert loop["depth"]["images"] == 20
+    answer = cli("slam=test/sideways", "depth=test/pose", "depth.weights=run/weights", "data=test/wall", "task=slam")
+    assert answer.code == 0, answer.err
+    refused = cli("depth=test/tiny", "data=test/wall", "task=pretrain", "out=refused")
+    assert "pose network" in refused.sentence

@@ -97,6 +97,29 @@ class Tiny(DepthEstimator):
         return DepthPrediction(((self.bias + 0.1 * torch.tanh(self.conv(images))).exp(),))
 
 
+class Moving(nn.Module):
+    """Believes in one small motion."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.step = nn.Parameter(torch.tensor(-STEP))
+
+    def forward(self, first, second):
+        T = torch.eye(4).repeat(len(first), 1, 1)
+        return T + self.step * torch.eye(4)[0, :, None] * torch.eye(4)[3]
+
+
+class TinyWithPose(Tiny):
+    def __init__(self, weights: str | None = None) -> None:
+        super().__init__()
+        self.pose = Moving()
+        if weights is not None:
+            self.load_weights(weights)
+
+    def pose_network(self):
+        return self.pose
+
+
 class NanDepth(Tiny):
     """Spoils the depth of the third frame that it sees."""
 
@@ -195,5 +218,11 @@ def register() -> None:
     home = "tests.loop.fakes"
     register_data("test/wall", f"{home}:Wall", override=True)
     register_slam("test/sideways", f"{home}:Sideways", override=True)
-    for name, cls in (("tiny", "Tiny"), ("nan", "NanDepth"), ("zero", "ZeroDepth"), ("fussy", "Fussy")):
+    for name, cls in (
+        ("tiny", "Tiny"),
+        ("pose", "TinyWithPose"),
+        ("nan", "NanDepth"),
+        ("zero", "ZeroDepth"),
+        ("fussy", "Fussy"),
+    ):
         register_depth(f"test/{name}", f"{home}:{cls}", override=True)

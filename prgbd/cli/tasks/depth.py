@@ -51,8 +51,23 @@ def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
     )
 
 
-def evaluate(job: Job, sensors: list[DepthSensor], more: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Evaluate the predicted depth where there is truth and write the summary."""
+def evaluate(
+    job: Job,
+    sensors: list[DepthSensor],
+    more: dict[str, Any] | None = None,
+    training: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Evaluate the predicted depth where there is truth and write the summary.
+
+    Args:
+        job: The run.
+        sensors: The network on each sequence.
+        more: Further entries of the summary.
+        training: Figures of the training that came before.
+
+    Returns:
+        The summary.
+    """
     options = settings.evaluation_options(job.config)
 
     def work() -> dict[str, Any] | None:
@@ -66,7 +81,7 @@ def evaluate(job: Job, sensors: list[DepthSensor], more: dict[str, Any] | None =
         "name": job.parts.ids["depth"],
         "pose": {},
         "depth": figures,
-        "training": None,
+        "training": training,
         "baseline": {name: found.adaptive_baseline for name, found in statistics.items()},
         "depth_max": {name: found.depth_max for name, found in statistics.items()},
     }
