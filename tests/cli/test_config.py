@@ -10,7 +10,9 @@ from omegaconf import OmegaConf
 
 from prgbd.cli.arguments import GROUPS, normalise
 from prgbd.cli.hydra_bridge import known_options
+from prgbd.cli.parts import LOOP_KEYS, _names
 from prgbd.core.registry import KINDS, REGISTRY
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
 
@@ -44,6 +46,14 @@ def test_refinement_defaults_are_the_paper_s_and_said_in_full():
     assert {k: config["loss"][k] for k in TERMS} == dict(zip(TERMS, (1.0, 0.001, 1.0, 1.0), strict=True))
 
 
+def test_every_threshold_of_orb_gtsam_can_be_seen_and_is_its_default():
+    node = OmegaConf.to_container(OmegaConf.load(CONF / "slam" / "orb_gtsam.yaml"))
+    listed = {name: value for name, value in node.items() if name not in ("id", *LOOP_KEYS["slam"])}
+    defaults = {f.name: list(f.default) if isinstance(f.default, tuple) else f.default for f in fields(Settings)}
+    assert listed == defaults
+    Settings.from_options(listed)
+
+
 def test_pretraining_defaults_are_said_in_full():
     defaults = {f.name: f.default for f in fields(PretrainingSettings) if f.name != "seed"}
     assert composed()["pretraining"] == defaults
@@ -66,8 +76,6 @@ def test_each_ablation_switches_off_exactly_its_term(term):
     ],
 )
 def test_sequence_names_reach_the_data_plugin_as_they_were_typed(typed, names):
-    from prgbd.cli.parts import _names
-
     assert _names(composed(f"data.sequences={typed}"), "sequences") == names
 
 
