@@ -21,6 +21,13 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 EDGE = 19
 GRID_CELL = 20.0
 
+_NOTHING = (
+    np.zeros((0, 2), np.float32),
+    np.zeros(0, np.float32),
+    np.zeros((0, 4), np.uint64),
+    np.zeros(0, np.int32),
+)
+
 
 @dataclass
 class Features:
@@ -90,7 +97,7 @@ class OrbExtractor:
             At most ``capacity`` features.
         """
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        parts = []
+        parts = [_NOTHING]
         level: NDArray[np.uint8] = np.asarray(gray, np.uint8)
         for octave, size in enumerate(self._sizes):
             if min(size) <= 2 * EDGE + 2:

@@ -108,6 +108,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         with self._watch("features"):
             depth = None if self._rig.mono else frame.depth
             features = self._extractor.extract(frame.image, depth, self._rig.bf)
+        self._ratios.append(float("nan"))
         current = TrackedFrame(frame.index, frame.timestamp, len(self._history.states), features)
         with self._watch("frame_total"):
             result = self._continue(current) if self._started else self._start(current)
@@ -158,7 +159,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         if self._lost:
             log.info("Tracking recovered at frame %d after %d lost frames.", frame.index, self._lost)
         self._lost = 0
-        self._ratios.append(depth_ratio(self._map, frame))
+        self._ratios[-1] = depth_ratio(self._map, frame)
         keyframe = needs_keyframe(
             self._map,
             self._rig,
@@ -187,7 +188,6 @@ class OrbGtsamSLAM(GeometricSLAM):
         """Count a lost frame, and start a new map if there is little to go back to."""
         self._lost += 1
         self._tracker.velocity = None
-        self._ratios.append(float("nan"))
         small = len(self._map.alive()) <= self.settings.restart_keyframes
         if small or self._lost >= self.settings.restart_after:
             log.info("Tracking is lost at frame %d; starting a new map.", frame.index)
