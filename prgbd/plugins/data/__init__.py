@@ -1,0 +1,1 @@
+"""Data plug-ins: recordings on disk and the synthetic world."""

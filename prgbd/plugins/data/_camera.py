@@ -1,0 +1,150 @@
+"""Cameras from YAML files or a field of view, and undistortion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.types import PinholeCamera
+
+INTRINSICS = ("fx", "fy", "cx", "cy")
+KEYS = ("width", "height", *INTRINSICS, "distortion", "fov_degrees")
+
+
+def make_camera(
+    camera: str | Path | Mapping[str, Any] | None, fov: float | None, width: int, height: int, where: Path
+) -> PinholeCamera:
+    """Return the camera of a recording whose images are ``width`` x ``height`` pixels.
+
+    Args:
+        camera: A YAML file, its content, or None.
+        fov: Horizontal field of view in degrees, or None. One of the two must be given.
+        width: Width of the images in pixels.
+        height: Height of the images in pixels.
+        where: The recording, for messages.
+
+    Raises:
+        ConfigError: If neither or both are given, or the field of view is impossible.
+        DataError: If the YAML is absent, malformed, or made for images of another size.
+    """
+    if (camera is None) == (fov is None):
+        missing = "is not known" if camera is None else "is given twice"
+        raise ConfigError(
+            f"The camera of {where} {missing}; set either data.camera to a YAML file (camera: width, height, fx, fy, "
+            "cx, cy, distortion) or data.fov to the horizontal field of view in degrees."
+        )
+    if camera is None:
+        return PinholeCamera.from_fov(width, height, _number(fov, "data.fov"))
+    if isinstance(camera, Mapping):
+        return camera_from_values(camera, "the option data.camera", width, height)
+    return camera_from_values(_read_yaml(Path(camera)), str(camera), width, height)
+
+
+def camera_from_values(values: Any, source: str, width: int, height: int) -> PinholeCamera:
+    """Return the camera that a mapping describes; ``source`` names it in messages.
+
+    Raises:
+        DataError: If something is missing, not a number, or does not fit the images.
+    """
+    inner = values.get("camera", values) if isinstance(values, Mapping) else None
+    if not isinstance(inner, Mapping):
+        raise DataError(f"{source} holds no mapping 'camera:' with {', '.join(INTRINSICS)} or fov_degrees; write one.")
+    unknown = [str(key) for key in inner if key not in KEYS]
+    if unknown:
+        raise DataError(f"{source} has an unknown entry '{unknown[0]}'; the entries are {', '.join(KEYS)}.")
+    size = tuple(
+        int(_number(inner.get(key, own), f"{key} in {source}")) for key, own in (("width", width), ("height", height))
+    )
+    if size != (width, height):
+        raise DataError(
+            f"{source} is the camera of {size[0]}x{size[1]} images, but the images are {width}x{height}; "
+            "calibrate at this size or resize the images."
+        )
+    if "fov_degrees" in inner:
+        return PinholeCamera.from_fov(width, height, _number(inner["fov_degrees"], f"fov_degrees in {source}"))
+    absent = [key for key in INTRINSICS if key not in inner]
+    if absent:
+        raise DataError(f"{source} lacks {', '.join(absent)}; it needs {', '.join(INTRINSICS)} or fov_degrees.")
+    fx, fy, cx, cy = (_number(inner[key], f"{key} in {source}") for key in INTRINSICS)
+    distortion = inner.get("distortion") or []
+    if not isinstance(distortion, (list, tuple)) and not hasattr(distortion, "__iter__"):
+        raise DataError(f"The distortion in {source} must be a list of 4, 5 or 8 numbers.")
+    coefficients = tuple(_number(value, f"distortion in {source}") for value in distortion)
+    if len(coefficients) not in (0, 4, 5, 8):
+        raise DataError(f"The distortion in {source} has {len(coefficients)} numbers; OpenCV's model has 4, 5 or 8.")
+    return plausible(width, height, (fx, fy, cx, cy), coefficients, source)
+
+
+def plausible(
+    width: int, height: int, intrinsics: tuple[float, float, float, float], distortion: tuple[float, ...], source: str
+) -> PinholeCamera:
+    """Return the camera if its numbers can belong to images of this size.
+
+    Raises:
+        DataError: If a focal length is not positive, or the numbers are normalised or those of another image size.
+    """
+    fx, fy, cx, cy = intrinsics
+    if not np.all(np.isfinite([*intrinsics, *distortion])) or min(fx, fy) <= 0:
+        raise DataError(
+            f"{source} gives fx={fx:g}, fy={fy:g}, cx={cx:g}, cy={cy:g}; the focal lengths must be positive."
+        )
+    if max(fx, fy, cx, cy) < 10:
+        raise DataError(
+            f"{source} gives fx={fx:g}, fy={fy:g}, cx={cx:g}, cy={cy:g}, which look normalised; "
+            "multiply them by the width and height of the images in pixels."
+        )
+    if not (0 < cx < width and 0 < cy < height):
+        raise DataError(
+            f"{source} has its principal point ({cx:g}, {cy:g}) outside the {width}x{height} images; "
+            "it belongs to another image size or is malformed."
+        )
+    return PinholeCamera(width, height, fx, fy, cx, cy, distortion)
+
+
+class Undistorter:
+    """Removes a camera's distortion from images and depth maps; does nothing for a camera without distortion."""
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._maps: tuple[Any, Any] | None = None
+        if any(camera.distortion):
+            size = (camera.width, camera.height)
+            coefficients = np.array(camera.distortion)
+            self._maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_32FC1)
+
+    def image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the undistorted (H, W, 3) image; what the camera did not see is black."""
+        if self._maps is None:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), np.uint8)
+
+    def depth(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the undistorted (H, W) depth by nearest neighbours, so that no depth between two surfaces arises."""
+        if self._maps is None:
+            return depth
+        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), np.float32)
+
+
+def _read_yaml(path: Path) -> Any:
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError(f"There is no camera file {path}; check the option data.camera.") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise DataError(f"{path} is no readable YAML file; write 'camera:' with fx, fy, cx, cy.") from error
+
+
+def _number(value: Any, what: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise DataError(f"{what} is {value!r}, which is no number; mend it.") from None
+    if not np.isfinite(number):
+        raise DataError(f"{what} is {number}, which is not finite; mend it.")
+    return number

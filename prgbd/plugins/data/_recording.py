@@ -1,0 +1,224 @@
+"""What the recordings on disk have in common: a list of files, a range of frames, poses and depth read on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.data import Sequence
+from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.types import Frame, PinholeCamera
+from prgbd.plugins.data._camera import Undistorter
+from prgbd.plugins.data._images import read_depth, read_image
+
+
+@dataclass
+class Files:
+    """The frames of a recording as parallel lists; everything but images and time stamps may be absent.
+
+    Attributes:
+        images: Image files.
+        timestamps: (N,) seconds.
+        depths: Depth files, None for frames without; None if the recording has none.
+        rights: Right images likewise.
+        poses: (N, 4, 4) ``wTc`` with NaN where unknown.
+        depth_unit: Metres per grey level of the depth files.
+        depth_invalid: Grey levels that mean "unknown".
+    """
+
+    images: list[Path]
+    timestamps: NDArray[np.float64]
+    depths: list[Path | None] | None = None
+    rights: list[Path | None] | None = None
+    poses: NDArray[np.float64] | None = None
+    depth_unit: float = 0.001
+    depth_invalid: tuple[int, ...] = field(default=(0,))
+
+    def chosen(self, keep: range) -> Files:
+        """Return the frames of a range."""
+        index = np.array(keep)
+        return Files(
+            [self.images[i] for i in keep],
+            self.timestamps[index],
+            None if self.depths is None else [self.depths[i] for i in keep],
+            None if self.rights is None else [self.rights[i] for i in keep],
+            None if self.poses is None else self.poses[index],
+            self.depth_unit,
+            self.depth_invalid,
+        )
+
+
+class FileSequence(Sequence):
+    """A recording of one file per image. A subclass finds the files and calls this constructor.
+
+    Args:
+        name: As in ``Sequence``.
+        camera: The camera with its distortion; ``self.camera`` is the one without.
+        files: All frames of the recording.
+        start: First frame.
+        stop: Frame to stop before; None for the end.
+        step: Take every ``step``-th frame.
+
+    Raises:
+        ConfigError: If the range of frames is empty or malformed.
+        DataError: If the time stamps do not ascend.
+    """
+
+    def __init__(
+        self, name: str, camera: PinholeCamera, files: Files, start: int = 0, stop: int | None = None, step: int = 1
+    ) -> None:
+        self.name = name
+        self.camera = camera.undistorted()
+        self._undistorter = Undistorter(camera)
+        self._files = files.chosen(frame_range(len(files.images), start, stop, step, name))
+        self.timestamps = np.asarray(self._files.timestamps, np.float64)
+        if not (np.isfinite(self.timestamps).all() and np.all(np.diff(self.timestamps) > 0)):
+            raise DataError(f"The time stamps of the recording '{name}' do not ascend; check its list of times.")
+
+    @property
+    def poses(self) -> NDArray[np.float64] | None:
+        """True poses ``wTc``, (N, 4, 4) float64 with NaN where unknown, or None."""
+        return self._files.poses
+
+    def frame(self, index: int) -> Frame:
+        """Read a frame.
+
+        Raises:
+            DataError: If a file cannot be read; the message names it.
+            IndexError: If the index is out of range.
+        """
+        check_index(index, len(self), self.name)
+        size = (self.camera.width, self.camera.height)
+        image = self._undistorter.image(read_image(self._files.images[index], size))
+        right = None if self._files.rights is None else self._files.rights[index]
+        depth = self.depth(index)
+        if depth is None and self._files.depths is not None:
+            depth = np.zeros(image.shape[:2], np.float32)
+        return Frame(
+            index, float(self.timestamps[index]), image, depth, None if right is None else read_image(right, size)
+        )
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        """Read the depth of a frame, (H, W) float32 metres with 0 where unknown, or None.
+
+        Raises:
+            DataError: If the file cannot be read; the message names it.
+        """
+        path = None if self._files.depths is None else self._files.depths[index]
+        if path is None:
+            return None
+        size = (self.camera.width, self.camera.height)
+        return self._undistorter.depth(read_depth(path, self._files.depth_unit, size, self._files.depth_invalid))
+
+
+def check_index(index: int, length: int, name: str) -> None:
+    """Raise ``IndexError`` unless 0 <= index < length."""
+    if not 0 <= index < length:
+        raise IndexError(f"Frame {index} of '{name}' is out of range; it has {length} frames.")
+
+
+def frame_range(count: int, start: int, stop: int | None, step: int, name: str) -> range:
+    """Return the chosen frames out of ``count``.
+
+    Raises:
+        ConfigError: If a value is negative or no frame remains.
+    """
+    if start < 0 or step < 1 or (stop is not None and stop < 0):
+        raise ConfigError(
+            f"The range of frames start={start}, stop={stop}, step={step} is malformed; start and stop count "
+            "from 0 and step from 1."
+        )
+    chosen = range(start, count if stop is None else min(stop, count), step)
+    if not chosen:
+        raise ConfigError(
+            f"The range of frames start={start}, stop={stop}, step={step} leaves none of the {count} frames of "
+            f"'{name}'."
+        )
+    return chosen
+
+
+def existing_root(root: str | Path) -> Path:
+    """Return the root folder.
+
+    Raises:
+        DataError: If it is absent.
+    """
+    path = Path(root).expanduser()
+    if not path.is_dir():
+        raise DataError(f"There is no folder {path}; check the option data.root.")
+    return path
+
+
+def choose(sequence: str | None, names: Iterable[str], root: Path) -> str:
+    """Return the chosen recording; None chooses the only one.
+
+    Raises:
+        DataError: If the name is unknown or None is ambiguous; the message lists what there is.
+    """
+    known = list(names)
+    listed = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+    if sequence is None and len(known) == 1:
+        return known[0]
+    if sequence is None:
+        raise DataError(f"{root} holds {len(known)} sequences; choose from {listed}.")
+    if sequence not in known:
+        raise DataError(f"There is no sequence '{sequence}' in {root}; there are {listed}.")
+    return sequence
+
+
+def read_table(path: Path, columns: int, what: str) -> NDArray[np.float64]:
+    """Read lines of numbers, (N, columns); empty lines and lines that begin with ``#`` do not count.
+
+    Raises:
+        DataError: If the file is absent or a line has another number of values; the message names the line.
+    """
+    rows: list[Any] = []
+    for number, words in text_lines(path, what):
+        try:
+            values = [float(word) for word in words]
+        except ValueError:
+            values = []
+        if len(values) != columns:
+            raise DataError(f"Line {number} of {path} is not {columns} numbers ({what}); check the file.")
+        rows.append(values)
+    return np.array(rows, np.float64).reshape(-1, columns)
+
+
+def text_lines(path: Path, what: str) -> list[tuple[int, list[str]]]:
+    """Return the number and the words of each line that is neither empty nor a comment.
+
+    Raises:
+        DataError: If the file is absent or no text.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DataError(f"There is no file {path} ({what}); the recording is not complete.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path} ({what}) cannot be read as text; copy it anew.") from error
+    words = ((number, line.replace(",", " ").split()) for number, line in enumerate(text.splitlines(), 1))
+    return [(number, w) for number, w in words if w and not w[0].startswith("#")]
+
+
+def as_poses(rows: NDArray[np.float64], source: Path) -> NDArray[np.float64]:
+    """Return (N, 4, 4) poses from (N, 12) row-major 3x4 matrices, their rotations made exactly orthonormal.
+
+    Raises:
+        DataError: If a matrix is not finite or no rigid transform.
+    """
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows.reshape(-1, 3, 4)
+    finite = np.isfinite(poses).all(axis=(1, 2))
+    if not finite.all():
+        raise DataError(f"Pose {int(np.argmin(finite))} of {source} is not finite; check the file.")
+    u, s, vt = np.linalg.svd(poses[:, :3, :3])
+    rigid = (np.abs(s - 1) < 0.02).all(axis=1) & (np.linalg.det(poses[:, :3, :3]) > 0)
+    if not rigid.all():
+        raise DataError(f"Pose {int(np.argmin(rigid))} of {source} is no rigid transform; check the file.")
+    poses[:, :3, :3] = u @ vt
+    return poses

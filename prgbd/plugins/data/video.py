@@ -1,0 +1,214 @@
+"""Any video file that OpenCV reads as a recording."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.data import Sequence
+from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.types import Frame
+from prgbd.plugins.data._camera import Undistorter, make_camera
+from prgbd.plugins.data._images import safe_name
+from prgbd.plugins.data._recording import check_index, choose, frame_range
+
+SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
+SKIP = 48  # up to so many frames are decoded and dropped rather than sought
+PROBE = 12  # frame by which seeking is tested
+
+
+class VideoSequence(Sequence):
+    """A video file. Frames read in order are decoded once; others are sought if the file's seeking proves exact.
+
+    Args:
+        root: The video file, or a folder of them.
+        sequence: Name of the file within the folder; None for the only one.
+        camera: A YAML file (``camera: {width, height, fx, fy, cx, cy, distortion}`` or ``fov_degrees``) or its content.
+        fov: Horizontal field of view in degrees, instead of ``camera``.
+        fps: Frames per second; None takes the file's.
+        start: First frame.
+        stop: Frame to stop before; None for the end.
+        step: Take every ``step``-th frame.
+
+    Raises:
+        ConfigError: If an option has a value that cannot work.
+        DataError: If the file is absent or no readable video, or the camera file is malformed.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        sequence: str | None = None,
+        camera: str | Path | Mapping[str, Any] | None = None,
+        fov: float | None = None,
+        fps: float | None = None,
+        start: int = 0,
+        stop: int | None = None,
+        step: int = 1,
+    ) -> None:
+        self._path = _find(Path(root).expanduser(), sequence)
+        self._reader = _Reader(self._path)
+        height, width = self._reader.read(0).shape[:2]
+        rate = self._reader.rate if fps is None else fps
+        if not (np.isfinite(rate) and rate > 0):
+            raise ConfigError(
+                f"The frame rate of {self._path} is {rate:g}; set the option data.fps to its frames per second."
+            )
+        pinhole = make_camera(camera, fov, width, height, self._path)
+        self.camera = pinhole.undistorted()
+        self._undistorter = Undistorter(pinhole)
+        self.name = safe_name(self._path.stem)
+        self._chosen = frame_range(self._reader.count(), start, stop, step, self.name)
+        self.timestamps = np.array(self._chosen, np.float64) / rate
+
+    @classmethod
+    def available(cls, **options: Any) -> list[str | None]:
+        """Return the video files of the folder ``root``, or ``[None]`` for a single file.
+
+        Raises:
+            DataError: If there are none.
+        """
+        root = Path(options["root"]).expanduser()
+        return list(_videos(root)) if root.is_dir() else [None]
+
+    def frame(self, index: int) -> Frame:
+        """Decode a frame.
+
+        Raises:
+            DataError: If the video ends before or the frame is damaged; the message names file and frame.
+            IndexError: If the index is out of range.
+        """
+        check_index(index, len(self), self.name)
+        image = self._undistorter.image(self._reader.read(self._chosen[index]))
+        if image.shape[:2] != (self.camera.height, self.camera.width):
+            raise DataError(
+                f"Frame {self._chosen[index]} of {self._path} has another size than the first; cut the video."
+            )
+        return Frame(index, float(self.timestamps[index]), image)
+
+
+class _Reader:
+    """Reads frames of a file by number. A copy in another process opens the file for itself."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._capture: Any = None
+        self._owner = 0
+        self._next = 0
+        self._last: tuple[int, NDArray[np.uint8]] | None = None
+        self._seeks: bool | None = None
+        self.rate = float(self._open().get(cv2.CAP_PROP_FPS))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_capture": None, "_last": None}
+
+    def read(self, number: int) -> NDArray[np.uint8]:
+        """Return frame ``number``, (H, W, 3) uint8 RGB.
+
+        Raises:
+            DataError: If it cannot be decoded.
+        """
+        if self._capture is None or self._owner != os.getpid():
+            # A file position shared between processes would mix up their frames.
+            self._open()
+        if self._last is not None and self._last[0] == number:
+            return self._last[1].copy()
+        self._go_to(number)
+        done, image = self._capture.read()
+        if not done or image is None:
+            self._capture = None
+            if number == 0:
+                raise DataError(f"{self._path} has no frame that can be decoded; convert it, e.g. to MP4.")
+            raise DataError(
+                f"Frame {number} of {self._path} cannot be decoded; the file is damaged or shorter than it says: set "
+                f"data.stop to {number} or less."
+            )
+        self._next = number + 1
+        rgb = np.ascontiguousarray(_three_channels(image)[..., ::-1])
+        self._last = (number, rgb)
+        return rgb.copy()
+
+    def count(self) -> int:
+        """Return the number of frames that can be decoded.
+
+        What the container says is taken if the last of these frames can be read; otherwise they are counted.
+        """
+        claimed = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if claimed > 0 and self._can_seek():
+            try:
+                self.read(claimed - 1)
+                return claimed
+            except DataError:
+                pass
+        self._open()
+        number = 0
+        while self._capture.grab():
+            number += 1
+        self._open()
+        return number
+
+    def _open(self) -> Any:
+        """Open the file anew at its first frame and return it."""
+        self._capture = None
+        capture = cv2.VideoCapture(str(self._path))
+        if not capture.isOpened():
+            raise DataError(f"{self._path} is no video that OpenCV can read, or is truncated; convert it, e.g. to MP4.")
+        self._capture, self._owner, self._next, self._last = capture, os.getpid(), 0, None
+        return capture
+
+    def _go_to(self, number: int) -> None:
+        """Bring the file to where the next decoded frame is ``number``."""
+        if not 0 <= number - self._next <= SKIP:
+            if self._can_seek():
+                self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+                self._next = number
+            elif number < self._next:
+                self._open()
+        while self._next < number and self._capture.grab():
+            self._next += 1
+
+    def _can_seek(self) -> bool:
+        """Test once whether a sought frame equals the same frame decoded in order."""
+        if self._seeks is None:
+            probe = cv2.VideoCapture(str(self._path))
+            frames = []
+            for _ in range(PROBE):
+                done, image = probe.read()
+                if not done:
+                    break
+                frames.append(image)
+            number = len(frames) // 2
+            probe.set(cv2.CAP_PROP_POS_FRAMES, number)
+            done, image = probe.read()
+            self._seeks = bool(frames) and done and np.array_equal(image, frames[number])
+            probe.release()
+        return self._seeks
+
+
+def _three_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
+
+
+def _videos(folder: Path) -> list[str]:
+    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+    if not found:
+        raise DataError(
+            f"The folder {folder} has no videos ({', '.join(SUFFIXES[:4])}, ...); check the option data.root."
+        )
+    return found
+
+
+def _find(root: Path, sequence: str | None) -> Path:
+    if root.is_dir():
+        return root / choose(sequence, _videos(root), root)
+    if not root.is_file():
+        raise DataError(f"There is no video file {root}; check the option data.root.")
+    if sequence is not None and sequence not in (root.name, root.stem):
+        raise DataError(f"There is no sequence '{sequence}' in the single video {root}; leave data.sequences empty.")
+    return root
