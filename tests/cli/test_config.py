@@ -83,3 +83,16 @@ def test_known_options_are_those_of_the_configuration():
     names = known_options()
     assert {"seed", "training.learning_rate", "loss.photometric", "task.max_loops", "slam"} <= set(names)
     assert not any(name.startswith("hydra") for name in names)
+
+
+@pytest.mark.parametrize("kind", ["data", "depth"])
+def test_yaml_of_plugins_gives_their_defaults(kind):
+    """What the YAML says beside its choices is what the plug-in does without it."""
+    for path in sorted((CONF / kind).glob("*.yaml")):
+        node = OmegaConf.to_container(OmegaConf.load(path))
+        options = REGISTRY.options(kind, node.pop("id"))
+        for name, value in node.items():
+            if name in LOOP_KEYS[kind] or value == "???":
+                continue
+            assert name in options, f"{path}: {name}"
+            assert options[name].default == value, f"{path}: {name}"
