@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.random import Generator
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from prgbd.plugins.data.synthetic import motion, painting, things
 from prgbd.plugins.data.synthetic.scene import SceneBuilder
 from prgbd.plugins.data.synthetic.textures import TextureAtlas
-from prgbd.plugins.data.synthetic.world import Mover, World, lit
+from prgbd.plugins.data.synthetic.world import Mover, Stage, World, lit
 
 CEILING = 2.6
 FURNITURE = 0.6  # depth of what stands along the walls, metres
@@ -28,6 +29,13 @@ def build_room(seed: int, frames: int, movers: int, reverse: bool) -> World:
         movers: Number of people walking about.
         reverse: Walk around the other way.
     """
+    stage = _stage(seed)
+    poses = _walk(np.random.default_rng([seed, 13]), _path(stage.half, stage.clockwise != reverse), frames)
+    return World(stage, poses, _people(np.random.default_rng([seed, 14]), stage.atlas, stage.half, movers))
+
+
+@lru_cache(maxsize=2)
+def _stage(seed: int) -> Stage:
     rng = np.random.default_rng([seed, 11])
     atlas = _textures(np.random.default_rng([seed, 12]))
     half = np.array([rng.uniform(2.7, 3.4), rng.uniform(2.5, 3.0)])
@@ -38,16 +46,8 @@ def build_room(seed: int, frames: int, movers: int, reverse: bool) -> World:
     _table(rng, builder)
     light = np.array([rng.uniform(-0.5, 0.5), -1.0, rng.uniform(-0.5, 0.5)])
     light = np.append(light / np.linalg.norm(light), rng.uniform(0.72, 0.8))
-    path = _path(half, bool(rng.random() < 0.5) != reverse)
-    poses = _walk(np.random.default_rng([seed, 13]), path, frames)
-    return World(
-        lit(builder.finish(), light),
-        atlas.arrays(),
-        light,
-        np.array([30.0, 30, 30, 30, 30, 30, 0]),
-        poses,
-        _people(np.random.default_rng([seed, 14]), atlas, half, movers),
-    )
+    sky = np.array([30.0, 30, 30, 30, 30, 30, 0])
+    return Stage(lit(builder.finish(), light), atlas, light, sky, half, bool(rng.random() < 0.5))
 
 
 def _textures(rng: Generator) -> TextureAtlas:

@@ -152,12 +152,12 @@ class SyntheticSequence(Sequence):
         return np.clip(noisy + 0.5, 0, 255).astype(np.uint8)
 
     def _render(self, index: int, wTc: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        world, camera = self._world, self.camera
-        parts = [world.surfaces]
-        for mover in world.movers:
+        stage, camera = self._world.stage, self.camera
+        parts = [stage.surfaces]
+        for mover in self._world.movers:
             wTo = mover.motion(index)
-            parts.append(lit(mover.shape.moved(wTo[:3, :3], wTo[:3, 3]), world.light))
-        surfaces = Surfaces.joined(parts) if len(parts) > 1 else world.surfaces
+            parts.append(lit(mover.shape.moved(wTo[:3, :3], wTo[:3, 3]), stage.light))
+        surfaces = Surfaces.joined(parts) if len(parts) > 1 else stage.surfaces
         K = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         cRw, origin = np.ascontiguousarray(wTc[:3, :3].T), np.ascontiguousarray(wTc[:3, 3])
         seen = np.full((2 * camera.height, 2 * camera.width), -1, np.int32)
@@ -175,12 +175,12 @@ class SyntheticSequence(Sequence):
             surfaces.quad_look,
             surfaces.balls,
             surfaces.ball_look,
-            world.atlas,
+            stage.atlas.arrays(),
             cRw,
             origin,
             K,
-            world.light,
-            world.sky,
+            stage.light,
+            stage.sky,
             image,
             depth,
         )

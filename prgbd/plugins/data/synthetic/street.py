@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.random import Generator
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from prgbd.plugins.data.synthetic import motion, painting, things
 from prgbd.plugins.data.synthetic.scene import SceneBuilder, Surfaces
 from prgbd.plugins.data.synthetic.textures import TextureAtlas
-from prgbd.plugins.data.synthetic.world import Mover, World, lit
+from prgbd.plugins.data.synthetic.world import Mover, Stage, World, lit
 
 ROAD = 5.0  # half the width of a road, metres
 PAVEMENT = 3.5  # width of a pavement, metres
@@ -31,6 +32,16 @@ def build_street(seed: int, frames: int, movers: int, reverse: bool) -> World:
         movers: Number of moving cars and walkers.
         reverse: Drive around the block the other way.
     """
+    stage = _stage(seed)
+    corners = motion.rounded_rectangle(stage.half[0], stage.half[1], 12.0, stage.clockwise != reverse)
+    path = motion.closed_path(corners, 3)
+    distance, poses = _drive(np.random.default_rng([seed, 3]), path, frames)
+    return World(stage, poses, _movers(np.random.default_rng([seed, 4]), stage.atlas, path, distance, movers))
+
+
+# Several sequences of one seed (training, evaluation, another length) share the 130 MB of a street.
+@lru_cache(maxsize=2)
+def _stage(seed: int) -> Stage:
     rng = np.random.default_rng([seed, 1])
     atlas = _textures(np.random.default_rng([seed, 2]))
     half = np.array([rng.uniform(28, 42), rng.uniform(24, 36)])
@@ -45,16 +56,9 @@ def build_street(seed: int, frames: int, movers: int, reverse: bool) -> World:
     light = np.array([np.cos(azimuth), -height, np.sin(azimuth)])
     light = np.append(light / np.linalg.norm(light), rng.uniform(0.62, 0.75))
     sky = np.concatenate([rng.uniform([185, 195, 205], [225, 228, 235]), rng.uniform([95, 125, 165], [150, 175, 215])])
-    path = motion.closed_path(motion.rounded_rectangle(half[0], half[1], 12.0, bool(rng.random() < 0.5) != reverse), 3)
-    distance, poses = _drive(np.random.default_rng([seed, 3]), path, frames)
-    return World(
-        lit(Surfaces.joined([builder.finish(), *parts]), light),
-        atlas.arrays(),
-        light,
-        np.append(sky, rng.uniform(7, 16)),
-        poses,
-        _movers(np.random.default_rng([seed, 4]), atlas, path, distance, movers),
-    )
+    clockwise = bool(rng.random() < 0.5)
+    sky = np.append(sky, rng.uniform(7, 16))
+    return Stage(lit(Surfaces.joined([builder.finish(), *parts]), light), atlas, light, sky, half, clockwise)
 
 
 def _textures(rng: Generator) -> TextureAtlas:

@@ -20,6 +20,7 @@ class TextureAtlas:
         self._chunks: list[NDArray[np.uint8]] = []
         self._offsets: list[NDArray[np.int64]] = []
         self._total = 0
+        self._arrays: tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]] | None = None
 
     def add(self, name: str, image: NDArray[np.floating]) -> None:
         """Add an (S, S, 3) texture with values of 0..255, S a power of two >= 64."""
@@ -48,5 +49,12 @@ class TextureAtlas:
         return self._sizes[self._names[name]]
 
     def arrays(self) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
-        """Return all texels, the (T, LEVELS, LEVELS) offsets [row level, column level] and the (T,) sides."""
-        return np.concatenate(self._chunks), np.stack(self._offsets), np.array(self._sizes, np.int64)
+        """Return all texels, the (T, LEVELS, LEVELS) offsets [row level, column level] and the (T,) sides.
+
+        The atlas is complete then; what it was put together from is let go.
+        """
+        if self._arrays is None:
+            texels = np.concatenate(self._chunks)
+            self._arrays = texels, np.stack(self._offsets), np.array(self._sizes, np.int64)
+            self._chunks = []
+        return self._arrays

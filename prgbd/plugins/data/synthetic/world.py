@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.data.synthetic.scene import Surfaces
+from prgbd.plugins.data.synthetic.textures import TextureAtlas
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,37 @@ class Mover:
 
 
 @dataclass(frozen=True)
-class World:
-    """A built world.
+class Stage:
+    """What of a world depends on the seed alone.
 
     Attributes:
         surfaces: What stands still.
-        atlas: Texels, offsets and sides of the textures.
+        atlas: The textures, which moving objects use as well.
         light: (4,) direction to the light and the share of light that comes from everywhere.
         sky: (7,) colour at the horizon and overhead, contrast of the clouds.
+        half: (2,) half the extent of the block or room along x and z, metres.
+        clockwise: Which way round the path goes.
+    """
+
+    surfaces: Surfaces
+    atlas: TextureAtlas
+    light: NDArray[np.float64]
+    sky: NDArray[np.float64]
+    half: NDArray[np.float64]
+    clockwise: bool
+
+
+@dataclass(frozen=True)
+class World:
+    """A stage with a camera's motion and moving objects.
+
+    Attributes:
+        stage: What stands still.
         poses: (N, 4, 4) camera-to-world.
         movers: Moving objects.
     """
 
-    surfaces: Surfaces
-    atlas: tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]
-    light: NDArray[np.float64]
-    sky: NDArray[np.float64]
+    stage: Stage
     poses: NDArray[np.float64]
     movers: list[Mover] = field(default_factory=list)
 
