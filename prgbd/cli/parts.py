@@ -58,11 +58,8 @@ def make_parts(config: Mapping[str, Any]) -> Parts:
     mode = _mode(config, task, ids)
     use_slam = task in ("self_improve", "slam")
     use_depth = task in ("self_improve", "depth", "pretrain") or mode == "pseudo_rgbd"
-    use_depth = (
-        use_depth
-        or (task == "evaluate" and not config["task"].get("trajectory"))
-        or (task == "evaluate" and bool(ids["depth"]))
-    )
+    if task == "evaluate":
+        use_depth = bool(ids["depth"]) or not config["task"].get("trajectory")
     _require_chosen(task, ids, use_slam, use_depth)
     seed_everything(int(config["seed"]))
     sequences, test_sequences = _make_sequences(config, ids["data"])
@@ -122,6 +119,8 @@ def _require_chosen(task: str, ids: Mapping[str, str], use_slam: bool, use_depth
     if not missing:
         return
     wanted = " and ".join(f"{kind}=ID ({', '.join(choices(kind))})" for kind in missing)
+    if task == "evaluate":
+        wanted += ", or task.trajectory=FILE"
     raise ConfigError(f"task={task} needs {wanted}; choose, or see --help.")
 
 

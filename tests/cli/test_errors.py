@@ -16,6 +16,7 @@ from tests.cli.conftest import FAKES
         ([], ["slam=ID", "orb_gtsam", "depth=ID", "monodepth2"]),
         (["task=slam"], ["slam=ID", "orb_gtsam"]),
         (["task=depth"], ["depth=ID", "monodepth2"]),
+        (["task=evaluate"], ["depth=ID", "task.trajectory"]),
         (["slam=orb_gtsm", "depth=monodepth2"], ["'orb_gtsm'", "'orb_gtsam'"]),
         (["+slam=orb_gtsam", "+depth=monodepth"], ["'monodepth'", "'monodepth2'"]),
         (["data=kitti_odomtry"], ["'kitti_odomtry'", "'kitti_odometry'"]),
