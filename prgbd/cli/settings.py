@@ -169,7 +169,9 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
     evaluation = evaluation_options(config)
     return LoopSettings(
         max_loops=_whole(number({"task": {"max_loops": 0} | config["task"]}, "task.max_loops"), "task.max_loops"),
-        min_improvement=float(number({"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement")),
+        min_improvement=number(
+            {"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement", optional=True
+        ),
         baseline=baseline,
         baseline_percentile=float(number(config, "sensing.baseline_percentile")),
         batch_size=batch_size(config),

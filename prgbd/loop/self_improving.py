@@ -31,7 +31,8 @@ class LoopSettings:
 
     Attributes:
         max_loops: Refinements of the network at most.
-        min_improvement: The held-out loss must drop by more than this fraction, or the loop stops.
+        min_improvement: The held-out loss must drop by more than this fraction, or the loop stops; None never stops
+            it early, for ablations.
         baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
         baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
         batch_size: Frames per forward pass of the sensor; None chooses by device.
@@ -47,7 +48,7 @@ class LoopSettings:
     """
 
     max_loops: int = 3
-    min_improvement: float = 0.0
+    min_improvement: float | None = 0.0
     baseline: float | None = None
     baseline_percentile: float = 100.0
     batch_size: int | None = None
@@ -61,7 +62,7 @@ class LoopSettings:
     def __post_init__(self) -> None:
         if isinstance(self.max_loops, bool) or not isinstance(self.max_loops, int) or self.max_loops < 0:
             raise ConfigError(f"task.max_loops is {self.max_loops}; it must be a whole number, 0 or more.")
-        if not 0 <= self.min_improvement < 1:
+        if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
             raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
         if not 0 < self.baseline_percentile <= 100:
             raise ConfigError(
@@ -273,17 +274,17 @@ def step_name(loop: int, *parts: str) -> str:
     return "/".join(("loops", f"{loop:02d}", *parts))
 
 
-def stop_reason(before: float | None, after: float | None, min_improvement: float) -> str:
+def stop_reason(before: float | None, after: float | None, min_improvement: float | None) -> str:
     """Return why the loop should stop after a refinement, "" to go on; no label is needed to decide.
 
     Args:
         before: Loss on held-out keyframes with the weights that SLAM ran with.
         after: The same with the refined weights.
-        min_improvement: Fraction by which the loss must drop.
+        min_improvement: Fraction by which the loss must drop; None accepts any finite loss.
     """
     if before is None or after is None or not math.isfinite(before) or not math.isfinite(after):
         return "The held-out loss was not finite after the refinement, so the weights from before are kept."
-    if before - after > min_improvement * abs(before):
+    if min_improvement is None or before - after > min_improvement * abs(before):
         return ""
     drop = 100 * (before - after) / max(abs(before), 1e-12)
     return (

@@ -22,6 +22,8 @@ from tests.loop.fakes import Tiny, Wall
         (1.0, 0.94, 0.05, False),
         (1.0, math.nan, 0.0, True),
         (1.0, None, 0.0, True),
+        (1.0, 1.1, None, False),
+        (1.0, None, None, True),
     ],
 )
 def test_stop_rule(before, after, least, stops):
