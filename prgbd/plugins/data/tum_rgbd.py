@@ -70,9 +70,7 @@ class TumRgbdSequence(FileSequence):
         files = Files(images, times, poses=_poses(folder / "groundtruth.txt", times), depth_unit=1 / 5000)
         if (folder / "depth").is_dir():
             depth_times, depth_files = _stamped(folder, "depth")
-            nearest = _nearest(depth_times, times)
-            close = np.abs(depth_times[nearest] - times) <= MAX_DIFFERENCE
-            files.depths = [depth_files[i] if ok else None for i, ok in zip(nearest, close, strict=True)]
+            files.depths = [None if i < 0 else depth_files[i] for i in _partners(depth_times, times)]
         super().__init__(safe_name(chosen), camera, files, start, stop, step)
 
     @classmethod
@@ -141,6 +139,15 @@ def _nearest(among: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[
     if len(among) == 1:
         return np.zeros(len(times), np.int64)
     return np.where(times - among[after - 1] <= among[after] - times, after - 1, after).astype(np.int64)
+
+
+def _partners(among: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return for each time the index of its partner in ``among`` within 0.02 s, or -1; a partner serves only once."""
+    nearest = _nearest(among, times)
+    difference = np.abs(among[nearest] - times)
+    closest = np.full(len(among), np.inf)
+    np.minimum.at(closest, nearest, difference)
+    return np.where((difference <= MAX_DIFFERENCE) & (difference == closest[nearest]), nearest, -1)
 
 
 def _poses(path: Path, times: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -57,6 +57,19 @@ def test_a_pickled_copy_renders_the_same() -> None:
     np.testing.assert_array_equal(pickle.loads(stored).frame(4).image, image)
 
 
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("street-1", [[149, 81, 78, 94, 138, 151], [99, 61, 79, 79, 106, 87], [86, 96, 89, 83, 84, 80]]),
+        ("indoor-1", [[140, 115, 113, 85, 107, 119], [86, 113, 99, 76, 94, 105], [85, 95, 94, 96, 90, 100]]),
+    ],
+)
+def test_the_look_stays_the_one_that_the_demo_weights_were_trained_on(name: str, expected: list[list[int]]) -> None:
+    grey = cv2.cvtColor(SyntheticSequence(name, frames=20, noise=0, exposure=0).frame(10).image, cv2.COLOR_RGB2GRAY)
+    found = grey.astype(float).reshape(4, 64, 6, 64).mean(axis=(1, 3))[:3]
+    np.testing.assert_allclose(found, expected, atol=2)
+
+
 def test_memory_of_frames_is_bounded() -> None:
     sequence = SyntheticSequence("indoor-0", **SMALL)
     for i in range(12):

@@ -1,0 +1,80 @@
+"""The plug-in for folders of images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prgbd
+from prgbd.core.errors import ConfigError, DataError
+from prgbd.plugins.data.images import ImagesSequence
+from tests.contracts import SequenceContract
+from tests.plugins.data.written import cut, picture, write_picture
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    folder = tmp_path / "my walk"
+    for i in range(12):
+        write_picture(folder / f"im{i}.png", i)
+    return folder
+
+
+class TestContract(SequenceContract):
+    @pytest.fixture
+    def sequence(self, root: Path) -> ImagesSequence:
+        return ImagesSequence(root, fov=60)
+
+
+def test_frames_in_natural_order(root: Path) -> None:
+    sequence = prgbd.make_data("images", root=root, fov=90, fps=5)
+    assert (sequence.name, len(sequence), sequence.fps) == ("my_walk", 12, pytest.approx(5))
+    assert sequence.camera.fx == pytest.approx(32)
+    for i in (2, 10, 11):
+        np.testing.assert_array_equal(sequence.frame(i).image, picture(i))
+    assert sequence.poses is None
+    assert sequence.frame(0).depth is None
+    part = ImagesSequence(root, fov=90, start=4, stop=9, step=2)
+    assert [part.frame(i).image[0, 0, 0] for i in range(3)] == [40, 60, 80]
+
+
+def test_the_camera_file_beside_the_images_is_found(root: Path) -> None:
+    (root / "camera.yaml").write_text("camera: {fx: 70, fy: 71, cx: 30, cy: 22, distortion: [0.2, 0, 0, 0]}")
+    sequence = ImagesSequence(root)
+    assert (sequence.camera.fx, sequence.camera.distortion) == (70, ())
+    assert np.abs(sequence.frame(1).image.astype(int) - picture(1)).max() > 3
+    assert ImagesSequence(root, fov=90).camera.fx == pytest.approx(32)
+
+
+def test_folders_within_are_sequences(root: Path) -> None:
+    write_picture(root.parent / "second" / "a.png", 1)
+    (root.parent / "empty").mkdir()
+    assert ImagesSequence.available(root=root.parent) == ["my walk", "second"]
+    assert ImagesSequence.available(root=root) == [None]
+    assert len(ImagesSequence(root.parent, "my walk", fov=60)) == 12
+    both = prgbd.make_sequences("images", root=root.parent, fov=60)
+    assert [s.name for s in both] == ["my_walk", "second"]
+    with pytest.raises(DataError, match="choose from my walk, second"):
+        ImagesSequence(root.parent, fov=60)
+
+
+def test_bad_input_is_named(root: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"camera of .* is not known"):
+        ImagesSequence(root)
+    with pytest.raises(ConfigError, match="fps is 0"):
+        ImagesSequence(root, fov=60, fps=0)
+    with pytest.raises(ConfigError, match="leaves none of the 12 frames"):
+        ImagesSequence(root, fov=60, start=12)
+    with pytest.raises(DataError, match="There is no folder"):
+        ImagesSequence(root / "absent", fov=60)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match="has no images"):
+        ImagesSequence(tmp_path / "empty", fov=60)
+    cut(root / "im4.png")
+    with pytest.raises(DataError, match=r"im4\.png is truncated"):
+        ImagesSequence(root, fov=60).frame(4)
+    write_picture(root / "im5.png", 5, 32, 32)
+    with pytest.raises(DataError, match=r"im5\.png is 32x32 pixels"):
+        ImagesSequence(root, fov=60).frame(5)
