@@ -1,0 +1,215 @@
+"""Self-supervised pre-training of a depth network with its pose network, as Monodepth2 does it."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from collections.abc import Sequence as Many
+from pathlib import Path
+from typing import Any
+
+import lightning
+import torch
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar
+from lightning.pytorch.utilities.seed import isolate_rng
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from rich.progress import track
+from torch import Tensor, nn
+
+from prgbd.core.data import Sequence
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import ConfigError
+from prgbd.training.augmentation import jittered
+from prgbd.training.losses import photometric_loss, smoothness_loss
+from prgbd.training.pretraining_data import PretrainingData, Triplets, decode
+from prgbd.training.pretraining_settings import PretrainingSettings
+from prgbd.training.quiet import quiet_lightning
+from prgbd.training.warping import invert_rigid
+
+
+class DepthPretraining(lightning.LightningModule):
+    """Photometric training of a depth and a pose network on triplets of frames (Godard et al., ICCV 2019).
+
+    Warps take the plain images, the networks the augmented ones.
+
+    Args:
+        estimator: The depth network; it is trained in place.
+        pose: Its pose network, called as ``pose(first, second)``, see ``DepthEstimator.pose_network``.
+        settings: All options.
+    """
+
+    def __init__(self, estimator: DepthEstimator, pose: nn.Module, settings: PretrainingSettings) -> None:
+        super().__init__()
+        self.estimator = estimator
+        self.pose = pose
+        self.settings = settings
+        self._random = torch.Generator().manual_seed(settings.seed)
+        self._noise: torch.Generator | None = None
+
+    def on_after_batch_transfer(self, batch: Triplets, dataloader_idx: int) -> Triplets:
+        """Turn bytes into [0, 1] on the device."""
+        return batch._replace(images=batch.images.float() / 255)
+
+    def loss(self, batch: Triplets, seen: Tensor, generator: torch.Generator | None) -> dict[str, Tensor]:
+        """Compute the total loss and its terms.
+
+        Args:
+            batch: Float images that the warps take.
+            seen: (B, 3, 3, H, W) what the networks see.
+            generator: Noise of the automatic mask.
+
+        Returns:
+            ``total``, ``photometric`` and ``smoothness``.
+        """
+        target, earlier, later = seen.unbind(dim=1)
+        if self.settings.channels_last:
+            target = target.contiguous(memory_format=torch.channels_last)
+        prediction = self.estimator(target)
+        # The pose network sees pairs in temporal order; the motion to the earlier frame is the inverse.
+        sTt = [invert_rigid(self.pose(earlier, target).float()), self.pose(target, later).float()]
+        plain = batch.images.unbind(dim=1)
+        photometric = photometric_loss(
+            prediction, plain[0], plain[1:], batch.K, sTt, automask=self.settings.automask, generator=generator
+        )
+        smooth = smoothness_loss(prediction, plain[0])
+        total = photometric + self.settings.smoothness * smooth
+        return {"total": total, "photometric": photometric, "smoothness": smooth}
+
+    def training_step(self, batch: Triplets, batch_idx: int) -> Tensor:
+        """Compute and log the loss of a batch."""
+        if self._noise is None or self._noise.device != batch.images.device:
+            self._noise = torch.Generator(batch.images.device).manual_seed(self.settings.seed)
+        seen = batch.images
+        if self.settings.augment:
+            batch, seen = augmented(batch, self._random)
+        values = self.loss(batch, seen, self._noise)
+        self._log("train", values, batch, prog_bar=True)
+        return values["total"]
+
+    def validation_step(self, batch: Triplets, batch_idx: int) -> None:
+        """Log the loss of held-out triplets; the noise is the same every time."""
+        noise = torch.Generator(batch.images.device).manual_seed(self.settings.seed + 1 + batch_idx)
+        self._log("held_out", self.loss(batch, batch.images, noise), batch, on_step=False, on_epoch=True)
+
+    def _log(self, split: str, values: Mapping[str, Tensor], batch: Triplets, **how: Any) -> None:
+        named = {f"{split}/{name}": value.detach() for name, value in values.items()}
+        self.log_dict(named, batch_size=batch.images.shape[0], **how)
+
+    def configure_optimizers(self) -> OptimizerLRScheduler:
+        """Adam over both networks, with a step down of the learning rate."""
+        optimizer = torch.optim.Adam([p for p in self.parameters() if p.requires_grad], lr=self.settings.learning_rate)
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": torch.optim.lr_scheduler.StepLR(optimizer, self.settings.lr_step_epoch, 0.1),
+        }
+
+
+def augmented(batch: Triplets, generator: torch.Generator) -> tuple[Triplets, Tensor]:
+    """Mirror half of the triplets, with their cameras, and jitter the colours of half of them.
+
+    Args:
+        batch: Float images.
+        generator: Random numbers, on the CPU.
+
+    Returns:
+        The mirrored batch, whose images the warps take, and the jittered images that the networks see.
+    """
+    flips, jitters = (torch.rand(2, batch.images.shape[0], generator=generator) < 0.5).to(batch.images.device)
+    images = torch.where(flips[:, None, None, None, None], batch.images.flip(-1), batch.images)
+    K = batch.K.clone()
+    K[:, 0, 2] = torch.where(flips, images.shape[-1] - 1 - K[:, 0, 2], K[:, 0, 2])
+    return Triplets(images, K), jittered(images, jitters, generator)
+
+
+def pretrain(
+    estimator: DepthEstimator,
+    sequences: Many[Sequence],
+    settings: PretrainingSettings,
+    out: Path,
+    trainer_options: Mapping[str, Any] | None = None,
+    logger: Any = None,
+) -> dict[str, Any]:
+    """Train a depth network and its pose network on unlabelled recordings, each with its own intrinsics.
+
+    The networks are trained in place; the caller saves their weights.
+
+    Args:
+        estimator: The depth network; it must bring a pose network.
+        sequences: The recordings.
+        settings: All options.
+        out: Folder for the checkpoint that a killed training goes on from.
+        trainer_options: Options of ``lightning.Trainer`` (accelerator, devices, precision, callbacks, ...).
+        logger: A Lightning logger, or several.
+
+    Returns:
+        ``steps``, ``epochs``, ``train_samples``, ``held_out_samples``, ``still_frames`` per recording,
+        ``held_out_before`` and ``held_out_after`` (total loss on held-out triplets), and ``seconds``.
+
+    Raises:
+        ConfigError: If the network brings no pose network.
+        DataError: If no frame moves, or an image cannot be read.
+    """
+    began = time.perf_counter()
+    pose = estimator.pose_network()
+    if pose is None:
+        raise ConfigError(
+            f"{type(estimator).__name__} brings no pose network, which self-supervised pre-training needs; choose "
+            "depth=monodepth2 or implement pose_network()."
+        )
+    options = dict(trainer_options or {})
+    bar = options.pop("enable_progress_bar", sys.stderr.isatty())
+    named = track(list(sequences), "Decoding", transient=True, disable=not bar)
+    sources = [decode(sequence, estimator, settings) for sequence in named]
+    data = PretrainingData(sources, settings)
+    was_training = estimator.training
+    with isolate_rng(), quiet_lightning():
+        lightning.seed_everything(settings.seed, workers=True, verbose=False)
+        module = DepthPretraining(estimator, pose, settings)
+        if settings.channels_last:
+            module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        trainer = _trainer(settings, out, options, bool(bar), logger)
+        before = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
+        module.train()
+        checkpoint = out / "checkpoint" / "last.ckpt"
+        trainer.fit(module, datamodule=data, ckpt_path=checkpoint if checkpoint.is_file() else None)
+        after = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
+    estimator.train(was_training)
+    shutil.rmtree(out / "checkpoint", ignore_errors=True)
+    return {
+        "steps": int(trainer.global_step),
+        "epochs": int(trainer.current_epoch),
+        "train_samples": data.train_samples,
+        "held_out_samples": data.held_out_samples,
+        "still_frames": {source.name: source.still for source in sources},
+        "held_out_before": float(before),
+        "held_out_after": float(after),
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def _trainer(
+    settings: PretrainingSettings, out: Path, options: dict[str, Any], bar: bool, logger: Any
+) -> lightning.Trainer:
+    """Make the trainer, with a checkpoint after every epoch so that a killed training goes on."""
+    callbacks: list[Callback] = [*options.pop("callbacks", [])]
+    callbacks.append(ModelCheckpoint(out / "checkpoint", filename="last", enable_version_counter=False))
+    if bar:
+        callbacks.append(RichProgressBar(leave=False))
+    defaults: dict[str, Any] = {
+        "accelerator": "cpu",
+        "devices": 1,
+        "default_root_dir": out,
+        "num_sanity_val_steps": 0,
+        "log_every_n_steps": 10,
+        "enable_model_summary": False,
+    }
+    return lightning.Trainer(
+        **(defaults | options),
+        max_epochs=settings.epochs,
+        max_steps=settings.max_steps,
+        callbacks=callbacks,
+        logger=logger if logger is not None else False,
+        enable_progress_bar=bar,
+    )
