@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import shutil
 import sys
 import time
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from collections.abc import Sequence as Many
@@ -26,6 +24,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
+from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
     RefinementBatch,
     RefinementData,
@@ -106,7 +105,7 @@ def refine(
     _require_samples(supervised, supervisions)
     out.mkdir(parents=True, exist_ok=True)
     was_training = estimator.training
-    with _decoded(estimator, supervised, supervisions, settings, out) as sources, _quiet(), isolate_rng():
+    with _decoded(estimator, supervised, supervisions, settings, out) as sources, quiet_lightning(), isolate_rng():
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         data = RefinementData(sources, settings)
         rows = _fit(DepthRefinement(estimator, settings), data, out, trainer_options or {}, logger)
@@ -237,18 +236,3 @@ def network_scale(estimator: DepthEstimator, source: SupervisedImages) -> float:
     ratio = torch.cat(ratios) if ratios else torch.zeros(0)
     scale = float(ratio.median()) if len(ratio) else 1.0
     return scale if math.isfinite(scale) and scale > 0 else 1.0
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep Lightning's advice on workers and hardware out of the user's terminal."""
-    logger = logging.getLogger("lightning.pytorch")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module="lightning.*")
-            warnings.filterwarnings("ignore", module="torch.utils.data.*")
-            yield
-    finally:
-        logger.setLevel(level)
