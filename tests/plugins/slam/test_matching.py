@@ -160,6 +160,7 @@ def test_epipolar_search_finds_partners_within_the_segment(frame, rng) -> None:
         np.full(2, 1e9),
         1.2 ** np.arange(LEVELS),
         50,
+        0.6,
     )
     near = disparity < 19
     np.testing.assert_array_equal(found[near], np.flatnonzero(near))

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prgbd.core.conformance import planar_scene
 from prgbd.core.errors import ContractError
 from prgbd.core.slam import TrackingState
-from prgbd.core.types import Frame, SlamResult
+from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
 from tests.contracts import SlamContract
 from tests.plugins.slam.walls import CAMERA, error, path, pose, view
@@ -175,3 +176,27 @@ def test_wrong_order_and_wrong_frames_are_refused(frames) -> None:
     system.close()
     with pytest.raises(ContractError, match="reset"):
         system.finish()
+
+
+def test_depth_beyond_what_is_trusted_makes_no_stereo_observation(frames) -> None:
+    result = run(frames[:12], depth_trust=30.0)  # 3 metres at a baseline of 0.1: the farther wall is beyond
+    assert result.tracked_frames == 12
+    assert error(result.trajectory.positions, truth_of(result, POSES), scale=False) < 0.02
+    plain, generous = run(frames[:12]), run(frames[:12], depth_trust=1000.0)
+    np.testing.assert_array_equal(generous.trajectory.wTc, plain.trajectory.wTc)
+    assert not np.array_equal(result.trajectory.wTc, plain.trajectory.wTc)
+
+
+def test_a_plane_starts_a_map_only_with_enough_parallax() -> None:
+    """A pure plane leaves two motions that explain it; taken too early the wrong one wins."""
+    frames = planar_scene(count=24)
+    system = OrbGtsamSLAM()
+    camera = PinholeCamera.from_fov(320, 240, 60.0)
+    system.reset(camera, "mono", fps=10.0)
+    for frame in frames:
+        system.track(frame)
+    result = system.finish()
+    steps = np.diff(result.trajectory.positions[::4], axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    assert result.tracked_frames == len(frames)
+    assert (np.abs(steps[:, 0]) > 0.9).all()

@@ -85,13 +85,16 @@ class OrbExtractor:
         self._xy = np.empty((width * height // 4 + 1, 2), np.int32)
         self._score = np.empty(len(self._xy), np.int32)
 
-    def extract(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None, bf: float) -> Features:
+    def extract(
+        self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None, bf: float, trusted: float = np.inf
+    ) -> Features:
         """Find the features of an image.
 
         Args:
             image: (H, W, 3) uint8 RGB.
             depth: (H, W) float32 metres, 0 where unknown, or None.
             bf: Baseline times fx, metres times pixels, of the (virtual) stereo pair.
+            trusted: Depths beyond give no right column.
 
         Returns:
             At most ``capacity`` features.
@@ -114,7 +117,9 @@ class OrbExtractor:
         measured = np.zeros(len(uv), np.float32) if depth is None else depth[v, u].astype(np.float32)
         measured[~np.isfinite(measured) | (measured <= 0)] = 0
         with np.errstate(divide="ignore", invalid="ignore"):
-            u_right = np.where(measured > 0, uv[:, 0] - np.float32(bf) / measured, np.float32(-1)).astype(np.float32)
+            u_right = np.where(
+                (measured > 0) & (measured <= trusted), uv[:, 0] - np.float32(bf) / measured, np.float32(-1)
+            ).astype(np.float32)
         return Features(
             uv,
             np.concatenate([p[3] for p in parts])[order],

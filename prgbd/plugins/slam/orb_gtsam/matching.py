@@ -247,6 +247,7 @@ def match_along_epipolar_lines(
     epipole: np.ndarray,
     scales: np.ndarray,
     limit: int,
+    ratio: float,
 ) -> np.ndarray:
     """Match keypoints of one keyframe to those of another that lie on their epipolar lines.
 
@@ -268,6 +269,7 @@ def match_along_epipolar_lines(
         epipole: (2,) pixel of the first camera's centre in the second image; nearby keypoints are skipped.
         scales: (levels,) scale of every pyramid level.
         limit: Largest Hamming distance.
+        ratio: Largest ratio between the best distance and the second one at the same level elsewhere on the line.
 
     Returns:
         (M,) int64 keypoint of the second keyframe, -1 for none.
@@ -287,7 +289,7 @@ def match_along_epipolar_lines(
         a, b, c = a / norm, b / norm, c / norm
         flat = abs(b) >= abs(a)
         band = 2.0 * scales[-1] + 1.0
-        best, index = limit + 1, -1
+        best, index, second = limit + 1, -1, _FAR
         along0, along1 = (ends[i, 0], ends[i, 2]) if flat else (ends[i, 1], ends[i, 3])
         steps = columns if flat else grid_rows
         s0 = max(min(along0, along1) - band, 0.0)
@@ -320,8 +322,14 @@ def match_along_epipolar_lines(
                         continue
                     d = hamming(descriptors1[rows[i]], descriptors2[j])
                     if d < best:
+                        if index >= 0 and octave2[index] == octave2[j]:
+                            second = best
+                        else:
+                            second = _FAR
                         best, index = d, j
-        if index < 0 or best >= owner_distance[index]:
+                    elif index >= 0 and d < second and octave2[index] == octave2[j]:
+                        second = d
+        if index < 0 or best > ratio * second or best >= owner_distance[index]:
             continue
         if owner[index] >= 0:
             match[owner[index]] = -1

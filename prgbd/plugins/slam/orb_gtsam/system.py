@@ -75,7 +75,13 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._extractor = OrbExtractor(settings, camera.width, camera.height)
         near = 0.0 if mode == "mono" else float(baseline or 0.0)
         self._rig = Rig(
-            camera, mode == "mono", near, near * settings.close_depth, settings.scales(), self._extractor.columns
+            camera,
+            mode == "mono",
+            near,
+            near * settings.close_depth,
+            settings.scales(),
+            self._extractor.columns,
+            near * settings.depth_trust if settings.depth_trust > 0 else np.inf,
         )
         cells = self._extractor.columns * self._extractor.rows
         self._map = Map(self._extractor.capacity, cells, self._rig.scales)
@@ -107,7 +113,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._check(frame)
         with self._watch("features"):
             depth = None if self._rig.mono else frame.depth
-            features = self._extractor.extract(frame.image, depth, self._rig.bf)
+            features = self._extractor.extract(frame.image, depth, self._rig.bf, self._rig.trusted_depth)
         self._ratios.append(float("nan"))
         current = TrackedFrame(frame.index, frame.timestamp, len(self._history.states), features)
         with self._watch("frame_total"):

@@ -114,6 +114,7 @@ def _match(world: Map, rig: Rig, settings: Settings, k: int, other: int) -> tupl
         epipole,
         rig.scales,
         settings.distance_low,
+        settings.ratio_triangulation,
     )
     matched = partners >= 0
     return rows[matched], partners[matched]

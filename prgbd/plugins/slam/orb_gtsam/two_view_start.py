@@ -41,6 +41,7 @@ class TwoViewStarter(Starter):
     # Share of the image width within which a keypoint is looked for: 100 pixels at 640.
     _WINDOW = 100.0 / 640.0
     _LEAST_POINTS = 50
+    _LEAST_PARALLAX_OF_PLANE = 2.5
     _REMEMBERED = 30
     _TRIED = 3
 
@@ -87,11 +88,17 @@ class TwoViewStarter(Starter):
                 self.rig.camera.K,
                 self.seed,
             )
-            if views is not None and np.count_nonzero(views.good) >= self._LEAST_POINTS:
+            if views is not None and self._trusts(views):
                 started = self._build(first, frame, rows[views.good], partners[views.good], views)
                 if started is not None:
                     return started
         return None
+
+    def _trusts(self, views: TwoView) -> bool:
+        """Whether a reconstruction is safe to build on."""
+        # A plane seen from nearby leaves two motions that explain it about equally well.
+        flat = views.model == "H" and views.parallax < np.radians(self._LEAST_PARALLAX_OF_PLANE)
+        return not flat and np.count_nonzero(views.good) >= self._LEAST_POINTS
 
     def _match(self, first: TrackedFrame, frame: TrackedFrame) -> tuple[IntArray, IntArray]:
         features = first.features
