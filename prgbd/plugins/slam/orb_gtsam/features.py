@@ -21,7 +21,9 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 EDGE = 19
 GRID_CELL = 20.0
 
-_NOTHING = (
+# Pixels, angles, descriptors and levels of the keypoints of one pyramid level.
+_Level = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint64], NDArray[np.int32]]
+_NOTHING: _Level = (
     np.zeros((0, 2), np.float32),
     np.zeros(0, np.float32),
     np.zeros((0, 4), np.uint64),
@@ -100,7 +102,7 @@ class OrbExtractor:
             At most ``capacity`` features.
         """
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        parts = [_NOTHING]
+        parts: list[_Level] = [_NOTHING]
         level: NDArray[np.uint8] = np.asarray(gray, np.uint8)
         for octave, size in enumerate(self._sizes):
             if min(size) <= 2 * EDGE + 2:
@@ -116,10 +118,9 @@ class OrbExtractor:
         v = np.clip(pixel[:, 1], 0, self.height - 1)
         measured = np.zeros(len(uv), np.float32) if depth is None else depth[v, u].astype(np.float32)
         measured[~np.isfinite(measured) | (measured <= 0)] = 0
+        stereo = (measured > 0) & (measured <= trusted)
         with np.errstate(divide="ignore", invalid="ignore"):
-            u_right = np.where(
-                (measured > 0) & (measured <= trusted), uv[:, 0] - np.float32(bf) / measured, np.float32(-1)
-            ).astype(np.float32)
+            u_right = np.where(stereo, uv[:, 0] - np.float32(bf) / measured, np.float32(-1)).astype(np.float32)
         return Features(
             uv,
             np.concatenate([p[3] for p in parts])[order],
@@ -131,9 +132,7 @@ class OrbExtractor:
             start,
         )
 
-    def _extract_level(
-        self, level: NDArray[np.uint8], octave: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint64], NDArray[np.int32]]:
+    def _extract_level(self, level: NDArray[np.uint8], octave: int) -> _Level:
         height, width = level.shape
         scores = self._scores[octave]
         low, high = self.settings.fast_threshold_low, self.settings.fast_threshold

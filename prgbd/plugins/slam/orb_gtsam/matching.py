@@ -229,6 +229,66 @@ def match_by_descriptor(
 
 
 @numba.njit(cache=True, nogil=True)
+def _best_on_line(
+    line: np.ndarray,
+    ends: np.ndarray,
+    descriptor: np.ndarray,
+    uv: np.ndarray,
+    octave: np.ndarray,
+    descriptors: np.ndarray,
+    cell_start: np.ndarray,
+    taken: np.ndarray,
+    columns: int,
+    cell: float,
+    epipole: np.ndarray,
+    scales: np.ndarray,
+    limit: int,
+) -> tuple[int, int, int]:
+    """Return the nearest descriptor along a line ``(a, b, c)`` of unit normal, its distance, and the second distance.
+
+    Only the cells that the line and its band pass through between the ends are visited.
+    """
+    a, b, c = line[0], line[1], line[2]
+    flat = abs(b) >= abs(a)
+    band = 2.0 * scales[-1] + 1.0
+    steps, across = columns, (len(cell_start) - 1) // columns
+    along0, along1 = ends[0], ends[2]
+    if not flat:
+        steps, across = across, steps
+        along0, along1 = ends[1], ends[3]
+    best, index, second = limit + 1, -1, _FAR
+    s0 = max(min(along0, along1) - band, 0.0)
+    s1 = min(max(along0, along1) + band, steps * cell - 1.0)
+    if not s0 <= s1:
+        return index, best, second
+    for s in range(int(s0 / cell), int(s1 / cell) + 1):
+        t0, t1 = s * cell, (s + 1) * cell
+        p0 = -(a * t0 + c) / b if flat else -(b * t0 + c) / a
+        p1 = -(a * t1 + c) / b if flat else -(b * t1 + c) / a
+        low, high = min(p0, p1) - band, max(p0, p1) + band
+        if high < 0 or low >= across * cell:
+            continue
+        for k in range(max(int(low / cell), 0), min(int(high / cell), across - 1) + 1):
+            here = k * columns + s if flat else s * columns + k
+            for j in range(cell_start[here], cell_start[here + 1]):
+                scale = scales[octave[j]]
+                distance = a * uv[j, 0] + b * uv[j, 1] + c
+                if taken[j] or distance * distance >= 3.84 * scale * scale:
+                    continue
+                ex, ey = epipole[0] - uv[j, 0], epipole[1] - uv[j, 1]
+                if ex * ex + ey * ey < 100.0 * scale:
+                    continue
+                d = hamming(descriptor, descriptors[j])
+                same_level = index >= 0 and octave[index] == octave[j]
+                if d < best:
+                    second = best if same_level else _FAR
+                    best, index = d, j
+                elif d < second and same_level:
+                    second = d
+    return index, best, second
+
+
+@numba.njit(cache=True, nogil=True)
 def match_along_epipolar_lines(
     rows: np.ndarray,
     uv1: np.ndarray,
@@ -274,61 +334,33 @@ def match_along_epipolar_lines(
     Returns:
         (M,) int64 keypoint of the second keyframe, -1 for none.
     """
-    grid_rows = (len(cell_start) - 1) // columns
     match = np.full(len(rows), -1, np.int64)
     owner = np.full(len(uv2), -1, np.int64)
     owner_distance = np.full(len(uv2), _FAR, np.int64)
+    line = np.empty(3)
     for i in range(len(rows)):
         x, y = np.float64(uv1[rows[i], 0]), np.float64(uv1[rows[i], 1])
-        a = F[0, 0] * x + F[0, 1] * y + F[0, 2]
-        b = F[1, 0] * x + F[1, 1] * y + F[1, 2]
-        c = F[2, 0] * x + F[2, 1] * y + F[2, 2]
-        norm = np.sqrt(a * a + b * b)
+        for r in range(3):
+            line[r] = F[r, 0] * x + F[r, 1] * y + F[r, 2]
+        norm = np.sqrt(line[0] * line[0] + line[1] * line[1])
         if norm < 1e-12:
             continue
-        a, b, c = a / norm, b / norm, c / norm
-        flat = abs(b) >= abs(a)
-        band = 2.0 * scales[-1] + 1.0
-        best, index, second = limit + 1, -1, _FAR
-        along0, along1 = (ends[i, 0], ends[i, 2]) if flat else (ends[i, 1], ends[i, 3])
-        steps = columns if flat else grid_rows
-        s0 = max(min(along0, along1) - band, 0.0)
-        s1 = min(max(along0, along1) + band, steps * cell - 1.0)
-        if not s0 <= s1:
-            continue
-        for s in range(int(s0 / cell), int(s1 / cell) + 1):
-            # The cells of column (or row) s that the line and its band pass through.
-            t0, t1 = s * cell, (s + 1) * cell
-            if flat:
-                p0, p1 = -(a * t0 + c) / b, -(a * t1 + c) / b
-            else:
-                p0, p1 = -(b * t0 + c) / a, -(b * t1 + c) / a
-            low, high = min(p0, p1) - band, max(p0, p1) + band
-            last = grid_rows if flat else columns
-            if high < 0 or low >= last * cell:
-                continue
-            k0, k1 = max(int(low / cell), 0), min(int(high / cell), last - 1)
-            for k in range(k0, k1 + 1):
-                here = k * columns + s if flat else s * columns + k
-                for j in range(cell_start[here], cell_start[here + 1]):
-                    if taken[j]:
-                        continue
-                    scale = scales[octave2[j]]
-                    distance = a * uv2[j, 0] + b * uv2[j, 1] + c
-                    if distance * distance >= 3.84 * scale * scale:
-                        continue
-                    ex, ey = epipole[0] - uv2[j, 0], epipole[1] - uv2[j, 1]
-                    if ex * ex + ey * ey < 100.0 * scale:
-                        continue
-                    d = hamming(descriptors1[rows[i]], descriptors2[j])
-                    if d < best:
-                        if index >= 0 and octave2[index] == octave2[j]:
-                            second = best
-                        else:
-                            second = _FAR
-                        best, index = d, j
-                    elif index >= 0 and d < second and octave2[index] == octave2[j]:
-                        second = d
+        line /= norm
+        index, best, second = _best_on_line(
+            line,
+            ends[i],
+            descriptors1[rows[i]],
+            uv2,
+            octave2,
+            descriptors2,
+            cell_start,
+            taken,
+            columns,
+            cell,
+            epipole,
+            scales,
+            limit,
+        )
         if index < 0 or best > ratio * second or best >= owner_distance[index]:
             continue
         if owner[index] >= 0:

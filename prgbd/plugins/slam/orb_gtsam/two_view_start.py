@@ -98,7 +98,7 @@ class TwoViewStarter(Starter):
         """Whether a reconstruction is safe to build on."""
         # A plane seen from nearby leaves two motions that explain it about equally well.
         flat = views.model == "H" and views.parallax < np.radians(self._LEAST_PARALLAX_OF_PLANE)
-        return not flat and np.count_nonzero(views.good) >= self._LEAST_POINTS
+        return not flat and int(np.count_nonzero(views.good)) >= self._LEAST_POINTS
 
     def _match(self, first: TrackedFrame, frame: TrackedFrame) -> tuple[IntArray, IntArray]:
         features = first.features
