@@ -95,4 +95,5 @@ def test_yaml_of_plugins_gives_their_defaults(kind):
             if name in LOOP_KEYS[kind] or value == "???":
                 continue
             assert name in options, f"{path}: {name}"
-            assert options[name].default == value, f"{path}: {name}"
+            if (path.stem, name) != ("monodepth2", "weights"):  # a loop that starts from scratch is of no use
+                assert options[name].default == value, f"{path}: {name}"
