@@ -14,6 +14,7 @@ from prgbd.core.depth import DepthEstimator
 from prgbd.core.types import DepthPrediction
 from prgbd.training.augmentation import augmented
 from prgbd.training.losses import photometric_loss, smoothness_loss
+from prgbd.training.optimizers import adam
 from prgbd.training.refinement_data import RefinementBatch
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
 from prgbd.training.sparse_losses import depth_consistency, depth_transfer
@@ -159,8 +160,7 @@ class DepthRefinement(lightning.LightningModule):
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """Adam, as in pre-training."""
-        trained = [p for p in self.estimator.parameters() if p.requires_grad]
-        return torch.optim.Adam(trained, lr=self.settings.learning_rate)
+        return adam(self, self.estimator.parameters(), self.settings.learning_rate)
 
 
 class LossRows(Callback):
