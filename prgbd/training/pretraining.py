@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from collections.abc import Sequence as Many
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,10 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
 from prgbd.training.augmentation import jittered
+from prgbd.training.images import image_folder
 from prgbd.training.losses import photometric_loss, smoothness_loss
-from prgbd.training.pretraining_data import PretrainingData, Triplets, decode
+from prgbd.training.optimizers import adam
+from prgbd.training.pretraining_data import DecodedSequence, PretrainingData, Triplets, decode, epoch_seed
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.warping import invert_rigid
@@ -38,6 +41,10 @@ class DepthPretraining(lightning.LightningModule):
         estimator: The depth network; it is trained in place.
         pose: Its pose network, called as ``pose(first, second)``, see ``DepthEstimator.pose_network``.
         settings: All options.
+
+    Attributes:
+        held_out_before: Loss on the held-out triplets before training; a training that goes on finds it in its
+            checkpoint.
     """
 
     def __init__(self, estimator: DepthEstimator, pose: nn.Module, settings: PretrainingSettings) -> None:
@@ -45,8 +52,24 @@ class DepthPretraining(lightning.LightningModule):
         self.estimator = estimator
         self.pose = pose
         self.settings = settings
-        self._random = torch.Generator().manual_seed(settings.seed)
-        self._noise: torch.Generator | None = None
+        self.held_out_before: float | None = None
+        self._random = torch.Generator()
+        self._noise = torch.Generator()
+
+    def on_train_epoch_start(self) -> None:
+        """Seed everything random by the epoch: the checkpoint after an epoch is all that a killed training needs."""
+        seed = epoch_seed(self.settings.seed, self.current_epoch, self.global_rank)
+        torch.manual_seed(seed)  # for networks that draw themselves, such as dropout
+        self._random.manual_seed(seed)
+        self._noise = torch.Generator(self.device).manual_seed(seed)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the loss before training."""
+        checkpoint["held_out_before"] = self.held_out_before
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take over the loss before training."""
+        self.held_out_before = checkpoint["held_out_before"]
 
     def on_after_batch_transfer(self, batch: Triplets, dataloader_idx: int) -> Triplets:
         """Turn bytes into [0, 1] on the device."""
@@ -79,8 +102,6 @@ class DepthPretraining(lightning.LightningModule):
 
     def training_step(self, batch: Triplets, batch_idx: int) -> Tensor:
         """Compute and log the loss of a batch."""
-        if self._noise is None or self._noise.device != batch.images.device:
-            self._noise = torch.Generator(batch.images.device).manual_seed(self.settings.seed)
         seen = batch.images
         if self.settings.augment:
             batch, seen = augmented(batch, self._random)
@@ -99,7 +120,7 @@ class DepthPretraining(lightning.LightningModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Adam over both networks, with a step down of the learning rate."""
-        optimizer = torch.optim.Adam([p for p in self.parameters() if p.requires_grad], lr=self.settings.learning_rate)
+        optimizer = adam(self, self.parameters(), self.settings.learning_rate)
         return {
             "optimizer": optimizer,
             "lr_scheduler": torch.optim.lr_scheduler.StepLR(optimizer, self.settings.lr_step_epoch, 0.1),
@@ -139,7 +160,7 @@ def pretrain(
         estimator: The depth network; it must bring a pose network.
         sequences: The recordings.
         settings: All options.
-        out: Folder for the checkpoint that a killed training goes on from.
+        out: Folder for the checkpoint that a killed training goes on from, and for images that do not fit into memory.
         trainer_options: Options of ``lightning.Trainer`` (accelerator, devices, precision, callbacks, ...).
         logger: A Lightning logger, or several.
 
@@ -160,19 +181,18 @@ def pretrain(
         )
     options = dict(trainer_options or {})
     bar = options.pop("enable_progress_bar", sys.stderr.isatty())
-    named = track(list(sequences), "Decoding", transient=True, disable=not bar)
-    sources = [decode(sequence, estimator, settings) for sequence in named]
-    data = PretrainingData(sources, settings)
     was_training = estimator.training
-    with isolate_rng(), quiet_lightning():
+    with _decoded(estimator, sequences, settings, out, bool(bar)) as sources, isolate_rng(), quiet_lightning():
+        data = PretrainingData(sources, settings)
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         module = DepthPretraining(estimator, pose, settings)
         if settings.channels_last:
             module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         trainer = _trainer(settings, out, options, bool(bar), logger)
-        before = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
-        module.train()
         checkpoint = out / "checkpoint" / "last.ckpt"
+        if not checkpoint.is_file():
+            module.held_out_before = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
+        module.train()
         trainer.fit(module, datamodule=data, ckpt_path=checkpoint if checkpoint.is_file() else None)
         after = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
     estimator.train(was_training)
@@ -183,10 +203,26 @@ def pretrain(
         "train_samples": data.train_samples,
         "held_out_samples": data.held_out_samples,
         "still_frames": {source.name: source.still for source in sources},
-        "held_out_before": float(before),
+        "held_out_before": module.held_out_before,
         "held_out_after": float(after),
         "seconds": time.perf_counter() - began,
     }
+
+
+@contextmanager
+def _decoded(
+    estimator: DepthEstimator, sequences: Many[Sequence], settings: PretrainingSettings, out: Path, bar: bool
+) -> Iterator[list[DecodedSequence]]:
+    """Decode all images once; what does not fit into memory lies in a folder that goes at the end."""
+    folder = image_folder(sum(map(len, sequences)), estimator.input_size, settings.memory_mb, out)
+    try:
+        yield [
+            decode(sequence, estimator, settings, folder / f"{number}.npy" if folder else None)
+            for number, sequence in enumerate(track(list(sequences), "Decoding", transient=True, disable=not bar))
+        ]
+    finally:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _trainer(

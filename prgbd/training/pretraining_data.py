@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -13,12 +14,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, RandomSampler
 
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import DataError
 from prgbd.core.types import PinholeCamera
+from prgbd.training.images import decode_frames
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_data import split_held_out
 
@@ -44,7 +46,7 @@ class DecodedSequence:
     Attributes:
         name: Of the recording.
         camera: At the network's input size.
-        images: (N, 3, h, w) uint8.
+        images: (N, 3, h, w) uint8, in memory or mapped from a file.
         targets: Positions of the frames that train.
         still: Number of frames left out because they hardly move.
     """
@@ -60,7 +62,7 @@ def decode(
     sequence: Sequence,
     estimator: DepthEstimator,
     settings: PretrainingSettings,
-    progress: Callable[[int], None] | None = None,
+    file: Path | None = None,
 ) -> DecodedSequence:
     """Decode and resize a recording once, and find the frames that move.
 
@@ -68,7 +70,7 @@ def decode(
         sequence: The recording.
         estimator: Says the size.
         settings: ``frame_gap`` and ``min_motion``.
-        progress: Called with the number of every decoded frame.
+        file: Where to keep the images; None for memory.
 
     Raises:
         DataError: If the recording is shorter than a triplet.
@@ -80,12 +82,7 @@ def decode(
             "recording or a smaller pretraining.frame_gap."
         )
     height, width = estimator.input_size
-    images = np.empty((len(sequence), 3, height, width), np.uint8)
-    for index in range(len(sequence)):
-        image = estimator.preprocess(sequence.frame(index).image)
-        images[index] = image.mul(255).round_().clamp_(0, 255).to(torch.uint8).cpu().numpy()
-        if progress is not None:
-            progress(index)
+    images = decode_frames(sequence, range(len(sequence)), estimator, file)
     inner = np.arange(gap, len(sequence) - gap)
     moved = image_motion(images, gap)
     moving = (moved[inner - gap] >= settings.min_motion) & (moved[inner] >= settings.min_motion)
@@ -121,8 +118,34 @@ class _TripletDataset(Dataset[Triplets]):
     def __getitem__(self, index: int) -> Triplets:
         number, frame = self._chosen[index]
         source = self._sources[number]
-        images = source.images[[frame, frame - self._gap, frame + self._gap]]
+        images = np.array(source.images[[frame, frame - self._gap, frame + self._gap]])
         return Triplets(torch.from_numpy(images), torch.from_numpy(source.camera.K).float())
+
+
+def epoch_seed(seed: int, epoch: int, rank: int = 0) -> int:
+    """Mix the seed of a run with the number of an epoch (and of a process), so that an epoch draws the same alone."""
+    return int(np.random.SeedSequence([seed, epoch, rank]).generate_state(1, np.uint64)[0])
+
+
+class EpochSampler(RandomSampler):
+    """A shuffle that the seed and the epoch alone decide, so that a training that goes on shuffles as it would have.
+
+    Args:
+        samples: What is shuffled.
+        seed: Of the run.
+    """
+
+    def __init__(self, samples: Dataset[Triplets], seed: int) -> None:
+        super().__init__(samples, generator=torch.Generator())  # type: ignore[arg-type]
+        self._seed, self._epoch = seed, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch; Lightning calls it before every epoch."""
+        self._epoch = epoch
+
+    def __iter__(self) -> Iterator[int]:
+        self.generator.manual_seed(epoch_seed(self._seed, self._epoch))
+        return super().__iter__()
 
 
 class PretrainingData(lightning.LightningDataModule):
@@ -151,22 +174,23 @@ class PretrainingData(lightning.LightningDataModule):
         )
         self.train_samples, self.held_out_samples = len(train), len(held_out)
 
-    def _loader(self, samples: _TripletDataset, generator: torch.Generator | None) -> DataLoader[Triplets]:
+    def _loader(self, samples: _TripletDataset, sampler: EpochSampler | None) -> DataLoader[Triplets]:
         workers = self._settings.workers
         return DataLoader(
             samples,
             batch_size=min(self._settings.batch_size, len(samples)),
-            shuffle=generator is not None,
+            sampler=sampler,
             # A last batch of one or two would spoil the statistics of batch normalisation.
-            drop_last=generator is not None,
-            generator=generator,
+            drop_last=sampler is not None,
+            # Without one, making an iterator draws from the global generator, before the first epoch or after its seed.
+            generator=torch.Generator(),
             num_workers=workers,
             persistent_workers=workers > 0,
         )
 
     def train_dataloader(self) -> DataLoader[Triplets]:
-        """Shuffled by the seed."""
-        return self._loader(self._train, torch.Generator().manual_seed(self._settings.seed))
+        """Shuffled by the seed, in every epoch otherwise."""
+        return self._loader(self._train, EpochSampler(self._train, self._settings.seed))
 
     def val_dataloader(self) -> DataLoader[Triplets]:
         """The held-out triplets in order."""

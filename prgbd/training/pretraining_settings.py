@@ -24,6 +24,7 @@ class PretrainingSettings:
         min_motion: Frames whose image differs from a source frame by less than this mean absolute grey level (at a
             width of 64 pixels) do not train; the published data sets leave still frames out by hand-made lists.
         workers: Processes that load batches; images lie decoded in memory, so 0 is usually fastest.
+        memory_mb: Decoded images beyond this lie in a file that goes at the end.
         channels_last: Memory layout that convolutions are faster in on most processors.
         val_fraction: Part of the triplets that is held out to watch the loss.
         seed: Of shuffling and augmentation.
@@ -43,6 +44,7 @@ class PretrainingSettings:
     frame_gap: int = 1
     min_motion: float = 1.0
     workers: int = 0
+    memory_mb: int = 1024
     channels_last: bool = False
     val_fraction: float = 0.05
     seed: int = 0
@@ -51,7 +53,7 @@ class PretrainingSettings:
         for name in ("epochs", "batch_size", "learning_rate", "lr_step_epoch", "frame_gap"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be positive.")
-        for name in ("smoothness", "min_motion", "workers"):
+        for name in ("smoothness", "min_motion", "workers", "memory_mb"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be 0 or positive.")
         if self.max_steps < -1 or self.max_steps == 0:

@@ -24,6 +24,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
+from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
     RefinementBatch,
@@ -196,9 +197,8 @@ def _decoded(
     out: Path,
 ) -> Iterator[list[SupervisedImages]]:
     """Decode all images once; what does not fit into memory lies in a folder that goes at the end."""
-    height, width = estimator.input_size
-    needed = sum(len(needed_frames(s)) for s in supervisions) * 3 * height * width
-    folder = out / "images" if needed > settings.memory_mb * 2**20 else None
+    needed = sum(len(needed_frames(s)) for s in supervisions)
+    folder = image_folder(needed, estimator.input_size, settings.memory_mb, out)
     try:
         sources = []
         for number, ((sequence, result), supervision) in enumerate(zip(supervised, supervisions, strict=True)):

@@ -18,6 +18,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import DataError
 from prgbd.core.types import PinholeCamera
+from prgbd.training.images import decode_frames
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.supervision import KeyframeSample, Supervision
 
@@ -110,15 +111,7 @@ def decode_images(
         )
     frames = needed_frames(supervision)
     height, width = estimator.input_size
-    shape = (len(frames), 3, height, width)
-    if file is None:
-        images: NDArray[np.uint8] = np.empty(shape, np.uint8)
-    else:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        images = np.lib.format.open_memmap(file, mode="w+", dtype=np.uint8, shape=shape)
-    for row, frame in enumerate(frames):
-        image = estimator.preprocess(sequence.frame(int(frame)).image)
-        images[row] = image.mul(255).round_().clamp_(0, 255).to(torch.uint8).cpu().numpy()
+    images = decode_frames(sequence, frames, estimator, file)
     return SupervisedImages(sequence.name, supervision, camera.resized(width, height), frames, images)
 
 
