@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import importlib.util
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import torch
 
     from prgbd.cli.parts import Parts
+    from prgbd.core.depth import DepthEstimator
     from prgbd.loop.self_improving import LoopSettings
     from prgbd.loop.summary import RunIdentity
     from prgbd.training.pretraining_settings import PretrainingSettings
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
 
 
 TASKS = ("self_improve", "slam", "depth", "evaluate", "pretrain")
+
+WEIGHT_OPTIONS = {"half": False, "pose": True}
+"""Options of ``task=pretrain`` that go to the network's ``save_weights``, with what it does without them."""
 
 
 def check_settings(config: Mapping[str, Any]) -> None:
@@ -44,6 +49,8 @@ def check_settings(config: Mapping[str, Any]) -> None:
         refinement_settings(config)
     if task == "pretrain":
         pretraining_settings(config)
+        for name in WEIGHT_OPTIONS:
+            _flag(config, name)
     if task in ("self_improve", "pretrain"):
         logger_maker(config)
         _check_trainer(config["trainer"])
@@ -120,6 +127,34 @@ def pretraining_settings(config: Mapping[str, Any]) -> PretrainingSettings:
 
     options = typed_options(PretrainingSettings, config["pretraining"], "pretraining")
     return PretrainingSettings(seed=config["seed"], **options)
+
+
+def weight_options(config: Mapping[str, Any], estimator: DepthEstimator) -> dict[str, bool]:
+    """Return the keyword arguments of the network's ``save_weights`` from ``task.half`` and ``task.pose``.
+
+    Raises:
+        ConfigError: If the network cannot store its weights in that way, or a value is neither true nor false.
+    """
+    known = inspect.signature(estimator.save_weights).parameters
+    options = {}
+    for name, default in WEIGHT_OPTIONS.items():
+        value = _flag(config, name)
+        if value == default:
+            continue
+        if name not in known:
+            raise ConfigError(
+                f"{type(estimator).__name__} cannot store its weights with task.{name}={str(value).lower()}, for its "
+                f"save_weights() takes no '{name}'; drop the option."
+            )
+        options[name] = value
+    return options
+
+
+def _flag(config: Mapping[str, Any], name: str) -> bool:
+    value = config["task"].get(name, WEIGHT_OPTIONS[name])
+    if not isinstance(value, bool):
+        raise ConfigError(f"task.{name} is {value!r}; it must be true or false.")
+    return value
 
 
 def typed_options(cls: type[Any], given: Mapping[str, Any], group: str) -> dict[str, Any]:

@@ -17,10 +17,10 @@ def run(job: Job) -> None:
     """Train on all sequences, keep the weights in ``RUN/weights``, and evaluate where there is true depth."""
     estimator = job.parts.estimator
     assert estimator is not None
-    resumed = job.store.is_done("pretrain")
-    figures = job.store.step("pretrain", lambda: _train(job))
-    if resumed:
-        estimator.load_weights(job.store.path("weights"))
+    options = settings.weight_options(job.config, estimator)
+    figures = job.store.step("pretrain", lambda: _train(job, options))
+    # What is evaluated is what was stored, be it in half precision or by a run that was stopped after the training.
+    estimator.load_weights(job.store.path("weights"))
     before, after = figures["held_out_before"], figures["held_out_after"]
     job.display.say(f"  {figures['steps']} steps: held-out loss {before} -> {after}; weights in RUN/weights")
     tested = job.parts.test_sequences or job.parts.sequences
@@ -28,7 +28,7 @@ def run(job: Job) -> None:
     report(job, evaluate(job, [make_sensor(job, sequence) for sequence in tested], training=samples))
 
 
-def _train(job: Job) -> dict[str, Any]:
+def _train(job: Job, weight_options: dict[str, bool]) -> dict[str, Any]:
     estimator, sequences = job.parts.estimator, job.parts.sequences
     assert estimator is not None
     options = settings.pretraining_settings(job.config)
@@ -47,5 +47,5 @@ def _train(job: Job) -> dict[str, Any]:
             make_logger(folder) if make_logger is not None else None,
         )
     with job.store.new_folder(job.store.path("weights")) as weights:
-        estimator.save_weights(weights)
+        estimator.save_weights(weights, **weight_options)
     return figures
