@@ -1,0 +1,1 @@
+"""SLAM systems that come with prgbd."""
