@@ -1,0 +1,1 @@
+"""Losses, refinement on SLAM's output, and self-supervised pre-training of depth networks."""

@@ -45,6 +45,7 @@ class DepthPretraining(lightning.LightningModule):
     Attributes:
         held_out_before: Loss on the held-out triplets before training; a training that goes on finds it in its
             checkpoint.
+        epochs: Number of passes that were begun; kept in the checkpoint as well.
     """
 
     def __init__(self, estimator: DepthEstimator, pose: nn.Module, settings: PretrainingSettings) -> None:
@@ -53,23 +54,26 @@ class DepthPretraining(lightning.LightningModule):
         self.pose = pose
         self.settings = settings
         self.held_out_before: float | None = None
+        self.epochs = 0
         self._random = torch.Generator()
         self._noise = torch.Generator()
 
     def on_train_epoch_start(self) -> None:
         """Seed everything random by the epoch: the checkpoint after an epoch is all that a killed training needs."""
+        self.epochs = self.current_epoch + 1
         seed = epoch_seed(self.settings.seed, self.current_epoch, self.global_rank)
         torch.manual_seed(seed)  # for networks that draw themselves, such as dropout
         self._random.manual_seed(seed)
         self._noise = torch.Generator(self.device).manual_seed(seed)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the loss before training."""
-        checkpoint["held_out_before"] = self.held_out_before
+        """Keep the figures that a training that goes on would not find out again."""
+        checkpoint["pretraining"] = {"held_out_before": self.held_out_before, "epochs": self.epochs}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take over the loss before training."""
-        self.held_out_before = checkpoint["held_out_before"]
+        """Take over those figures."""
+        figures = checkpoint["pretraining"]
+        self.held_out_before, self.epochs = figures["held_out_before"], figures["epochs"]
 
     def on_after_batch_transfer(self, batch: Triplets, dataloader_idx: int) -> Triplets:
         """Turn bytes into [0, 1] on the device."""
@@ -199,7 +203,7 @@ def pretrain(
     shutil.rmtree(out / "checkpoint", ignore_errors=True)
     return {
         "steps": int(trainer.global_step),
-        "epochs": int(trainer.current_epoch),
+        "epochs": module.epochs,
         "train_samples": data.train_samples,
         "held_out_samples": data.held_out_samples,
         "still_frames": {source.name: source.still for source in sources},

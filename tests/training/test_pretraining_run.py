@@ -181,6 +181,27 @@ def test_killed_training_ends_as_if_it_had_not_been(tmp_path):
         assert not (tmp_path / f"killed{number}" / "checkpoint").exists()
 
 
+def test_killed_after_the_last_step_in_the_midst_of_an_epoch(tmp_path):
+    class KillAtEnd(Callback):
+        def on_train_end(self, trainer, module):
+            raise RuntimeError("killed")
+
+    def train(folder, *callbacks):
+        network = Noisy()
+        settings = replace(QUICK, max_steps=5, augment=True)
+        return network, pretrain(
+            network, [WallSequence(14)], settings, tmp_path / folder, {**QUIET, "callbacks": [*callbacks]}
+        )
+
+    whole, expected = train("whole")
+    assert expected["steps"] == 5
+    with pytest.raises(RuntimeError, match="killed"):
+        train("killed", KillAtEnd())
+    network, figures = train("killed")
+    assert same(weights_of(whole), weights_of(network))
+    assert {**figures, "seconds": 0} == {**expected, "seconds": 0}
+
+
 def test_killed_training_does_not_repeat_finished_epochs(tmp_path):
     epochs = []
 
