@@ -14,6 +14,10 @@ TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
 class RefinementSettings:
     """Options of depth refinement; the defaults are the paper's.
 
+    The two sparse terms are in the network's own unit of depth. A network that was pre-trained without scale has a
+    median depth near 1, and its terms are about as large as the photometric one; for a metric network they are tens of
+    times larger, so give them weights of a few hundredths there.
+
     Attributes:
         photometric: Weight alpha of the photometric term; a term of weight 0 is not computed.
         smoothness: Weight beta of the smoothness term.
