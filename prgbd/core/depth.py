@@ -55,7 +55,7 @@ class DepthEstimator(nn.Module, ABC):
     def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Predict depth at the image's own size, in evaluation mode and without gradients.
 
-        The inverse depth is what is resized (FACTS 2, evaluation), so edges do not smear towards the far side.
+        The inverse depth is what is resized (Monodepth2, evaluation), so edges do not smear towards the far side.
 
         Args:
             image: (H, W, 3) uint8 RGB.

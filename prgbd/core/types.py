@@ -274,7 +274,7 @@ class DepthPrediction:
     Attributes:
         depths: Tensors (B, 1, H_s, W_s), positive, differentiable; metres if the estimator is metric, else up to scale.
         disparities: The network's own inverse-depth-like output per scale, where it has one. The smoothness term is
-            defined on it (FACTS 2); without it the term uses 1 / depth.
+            defined on it (Monodepth2); without it the term uses 1 / depth.
     """
 
     depths: tuple[torch.Tensor, ...]
