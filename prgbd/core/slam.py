@@ -46,8 +46,8 @@ class GeometricSLAM(ABC):
     """A SLAM system: ``reset``, then ``track`` once per frame in order, then ``finish``; ``close`` frees everything.
 
     Pseudo RGB-D is mode ``rgbd`` with frames whose depth comes from a ``DepthEstimator`` and whose ``baseline`` is the
-    adaptive virtual one (paper, section 3.2). Lost tracking is a result, not an exception. An offline system collects frames in
-    ``track`` and works in ``finish``. A system is a context manager that closes itself.
+    adaptive virtual one of the paper. Lost tracking is a result, not an exception. An offline system collects frames
+    in ``track`` and works in ``finish``. A system is a context manager that closes itself.
 
     Attributes:
         modes: The modes that the system supports, out of ``mono``, ``rgbd``, ``stereo``.

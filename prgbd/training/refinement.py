@@ -1,4 +1,4 @@
-"""Depth refinement: a depth network learns from SLAM's poses, keyframes and points (paper, section 3.3)."""
+"""Depth refinement: a depth network learns from SLAM's poses, keyframes and points (Tiwari et al., ECCV 2020)."""
 
 from __future__ import annotations
 

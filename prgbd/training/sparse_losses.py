@@ -1,4 +1,4 @@
-"""Sparse loss terms of the method: what SLAM's keypoints say about the depth of keyframes (paper, section 3.3).
+"""Sparse loss terms of the method: what SLAM's keypoints say about the depth of keyframes (Tiwari et al., ECCV 2020).
 
 A batch of points is padded: ``uv`` is (B, N, 2) in pixels of the depth map, ``mask`` (B, N) bool tells the real ones.
 """

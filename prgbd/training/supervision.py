@@ -1,4 +1,4 @@
-"""From what SLAM found out to training samples: outlier removal and keyframe triplets (paper, section 3.3)."""
+"""From what SLAM found out to training samples: outlier removal and keyframe triplets (Tiwari et al., ECCV 2020)."""
 
 from __future__ import annotations
 
