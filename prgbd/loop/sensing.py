@@ -22,7 +22,7 @@ from prgbd.core.files import atomic_path, read_json, write_json
 from prgbd.core.types import Frame
 from prgbd.loop.monitor import Monitor, SilentMonitor
 
-# Virtual baseline and largest depth on KITTI, whose ratio the adaptive baseline keeps (the paper, section 3.1).
+# Virtual baseline and largest depth on KITTI, whose ratio the adaptive baseline keeps (Tiwari et al., ECCV 2020).
 KITTI_BASELINE = 0.54
 KITTI_DEPTH_MAX = 80.0
 _SUBSAMPLING = 8
@@ -61,7 +61,7 @@ class DepthStatistics:
 
 
 def adaptive_baseline(depth_max: float) -> float:
-    """Return the virtual baseline that goes with the largest predicted depth (the paper, section 3.1)."""
+    """Return the virtual baseline that goes with the largest predicted depth (Tiwari et al., ECCV 2020)."""
     return KITTI_BASELINE / KITTI_DEPTH_MAX * depth_max
 
 
