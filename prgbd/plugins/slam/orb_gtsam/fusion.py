@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.matching import match_by_projection
-from prgbd.plugins.slam.orb_gtsam.pose_optimisation import CHI2_MONO, CHI2_STEREO
+from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 

@@ -9,7 +9,7 @@ from prgbd.plugins.slam.orb_gtsam.features import GRID_CELL, Features
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.matching import match_along_epipolar_lines
-from prgbd.plugins.slam.orb_gtsam.pose_optimisation import CHI2_MONO, CHI2_STEREO
+from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.two_view import triangulate_pairs
