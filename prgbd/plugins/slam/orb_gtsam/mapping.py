@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -133,6 +135,8 @@ class Map:
         self.keyframes = KeyframeColumns(capacity, cells)
         self.points = PointColumns()
         self.current_map = 0
+        # Held by whoever reads or changes the map beside another thread; the mapper's solvers work on copies without it.
+        self.lock = threading.RLock()
 
     # Keyframes -------------------------------------------------------------------------------------------------
 
