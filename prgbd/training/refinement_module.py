@@ -102,7 +102,11 @@ class DepthRefinement(lightning.LightningModule):
         with torch.autocast(target.device.type, enabled=False):
             if weights["depth_consistency"]:
                 out["depth_consistency"] = depth_consistency(
-                    current.depth.float(), points_at(batch, current.depth, 0)[0], batch.depth[:, 0], batch.mask
+                    current.depth.float(),
+                    points_at(batch, current.depth, 0)[0],
+                    batch.depth[:, 0],
+                    batch.mask,
+                    residual=self.settings.residual,
                 )
             if weights["depth_transfer"]:
                 out["depth_transfer"] = self._transfer(batch, prediction.depth.float())
@@ -125,6 +129,7 @@ class DepthRefinement(lightning.LightningModule):
                 patch=self.settings.patch,
                 matching=self.settings.matching,
                 reduction=self.settings.reduction,
+                residual=self.settings.residual,
             )
         return total
 

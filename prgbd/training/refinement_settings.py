@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from prgbd.core.errors import ConfigError
-from prgbd.training.sparse_losses import MATCHINGS, REDUCTIONS
+from prgbd.training.sparse_losses import MATCHINGS, REDUCTIONS, RESIDUALS
 
 TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
 
@@ -29,6 +29,8 @@ class RefinementSettings:
         patch: Odd side of the patch around a keypoint that depth transfer compares, pixels of the network's input.
         matching: ``projected`` or ``offset``, which pixels of two patches are compared; see ``depth_transfer``.
         reduction: ``mean`` or ``sum`` over points and patch pixels in depth transfer; see ``depth_transfer``.
+        residual: ``absolute`` (the paper) or ``log``, how both sparse terms compare depths; see
+            ``sparse_losses.difference``.
         automask: Leave out what looks the same without motion (Monodepth2).
         augment: Mirror half of the samples and jitter the colours of half of them.
         freeze_batchnorm: Keep the statistics of batch normalisation as pre-training left them. By default they follow
@@ -62,6 +64,7 @@ class RefinementSettings:
     patch: int = 5
     matching: str = "projected"
     reduction: str = "mean"
+    residual: str = "absolute"
     automask: bool = True
     augment: bool = False
     freeze_batchnorm: bool = False
@@ -96,6 +99,8 @@ class RefinementSettings:
             raise ConfigError(f"training.reduction is '{self.reduction}'; choose one of {', '.join(REDUCTIONS)}.")
         if self.matching not in MATCHINGS:
             raise ConfigError(f"training.matching is '{self.matching}'; choose one of {', '.join(MATCHINGS)}.")
+        if self.residual not in RESIDUALS:
+            raise ConfigError(f"training.residual is '{self.residual}'; choose one of {', '.join(RESIDUALS)}.")
         if not 0 <= self.val_fraction <= 0.5:
             raise ConfigError(f"training.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")
 

@@ -15,6 +15,7 @@ from prgbd.training.warping import NEAREST, invert_rigid
 
 REDUCTIONS = ("mean", "sum")
 MATCHINGS = ("projected", "offset")
+RESIDUALS = ("absolute", "log")
 
 
 class Patches(NamedTuple):
@@ -119,6 +120,7 @@ def depth_transfer(
     patch: int = 5,
     matching: str = "projected",
     reduction: str = "mean",
+    residual: str = "absolute",
 ) -> Tensor:
     """Symmetric depth transfer between two keyframes a and b (paper eq. for T_{c<->k1}).
 
@@ -148,9 +150,10 @@ def depth_transfer(
         patch: Odd side of the patch, pixels of the depth map.
         matching: ``projected`` or ``offset``.
         reduction: ``mean`` or ``sum`` over the points and patch pixels of one image pair.
+        residual: ``absolute`` or ``log``, see ``difference``.
 
     Returns:
-        Scalar in the unit of the depth: mean over the batch, where a pair without points counts 0.
+        Scalar, in the unit of the depth for ``absolute``: mean over the batch, where a pair without points counts 0.
     """
     total = depths[0].new_zeros(())
     for a, b, T in ((0, 1, bTa), (1, 0, invert_rigid(bTa))):
@@ -161,11 +164,31 @@ def depth_transfer(
         else:
             _, there, inside = sample_patches(depths[b], uv[b], patch)
         used = mask[:, :, None] & patches.inside & inside
-        total = total + _reduce((moved[..., 2] - there).abs(), used, reduction)
+        total = total + _reduce(difference(moved[..., 2], there, residual), used, reduction)
     return total
 
 
-def depth_consistency(depth: Tensor, uv: Tensor, slam_depth: Tensor, mask: Tensor) -> Tensor:
+def difference(a: Tensor, b: Tensor, residual: str) -> Tensor:
+    """Compare depths: ``|a - b|`` (the paper), or ``|log a - log b|``.
+
+    The absolute difference has a bias: two predictions of one point with independent errors of 10 % differ by 10 % of
+    their depth, so a network lowers the loss by predicting *smaller* depth everywhere, and far points outweigh near
+    ones. The logarithm of the ratio does not change with the scale of the prediction, has no unit, and weighs near and
+    far points alike.
+
+    Args:
+        a: Depth; may be negative behind a camera.
+        b: Depth of the same shape, positive.
+        residual: ``absolute`` or ``log``.
+    """
+    if residual == "absolute":
+        return (a - b).abs()
+    return (a.clamp(min=NEAREST).log() - b.clamp(min=NEAREST).log()).abs()
+
+
+def depth_consistency(
+    depth: Tensor, uv: Tensor, slam_depth: Tensor, mask: Tensor, *, residual: str = "absolute"
+) -> Tensor:
     """Depth consistency: mean absolute difference between predicted depth and SLAM's (paper eq. for D_c).
 
     Args:
@@ -173,13 +196,14 @@ def depth_consistency(depth: Tensor, uv: Tensor, slam_depth: Tensor, mask: Tenso
         uv: (B, N, 2) keypoints in it, pixels of the depth map.
         slam_depth: (B, N) depth of SLAM's points in the current camera.
         mask: (B, N) bool, real points.
+        residual: ``absolute`` or ``log``, see ``difference``.
 
     Returns:
-        Scalar in the unit of the depth: mean over the points of an image, then over the batch; an image without points
-        counts 0.
+        Scalar, in the unit of the depth for ``absolute``: mean over the points of an image, then over the batch; an
+        image without points counts 0.
     """
     predicted = sample_patches(depth, uv, 1)
-    error = (predicted.depth[..., 0] - slam_depth).abs()[..., None]
+    error = difference(predicted.depth[..., 0], slam_depth, residual)[..., None]
     return _reduce(error, (mask & predicted.inside[..., 0])[..., None], "mean")
 
 

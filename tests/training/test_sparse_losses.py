@@ -1,5 +1,7 @@
 """The method's sparse terms against hand-computed scenes and finite differences."""
 
+import math
+
 import pytest
 import torch
 
@@ -157,3 +159,34 @@ def test_gradients_agree_with_finite_differences():
     assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, matching="offset", reduction="sum"), (a, b))
     slam = torch.rand(2, 3, dtype=torch.float64) + 5
     assert torch.autograd.gradcheck(lambda a: depth_consistency(a, uv_a, slam, mask), a)
+
+
+@pytest.mark.parametrize(("residual", "least", "most"), [("absolute", 0.5, 0.9), ("log", 0.95, 1.05)])
+def test_only_the_log_residual_is_lowest_at_the_true_scale_of_noisy_depth(residual, least, most):
+    """Two noisy predictions of the same points, 1 m of forward motion: which common factor makes them agree best?"""
+    generator = torch.Generator().manual_seed(0)
+    height, width = 200, 300
+    z = 10.0 + 10.0 * torch.rand(1, 1, height, width, generator=generator)
+    noise = [torch.exp(0.1 * torch.randn(z.shape, generator=generator)) for _ in range(2)]
+    v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    uv = torch.stack([u.reshape(1, -1), v.reshape(1, -1)], dim=-1).float()
+    mask = torch.ones(uv.shape[:2], dtype=torch.bool)
+    bTa = translation(z=-1.0).float()
+    scales = torch.linspace(0.5, 1.5, 51)
+    losses = [
+        depth_transfer(
+            (s * z * noise[0], s * (z - 1.0) * noise[1]), (uv, uv), K.float(), bTa, mask, patch=1, residual=residual
+        )
+        for s in scales
+    ]
+    best = float(scales[int(torch.stack(losses).argmin())])
+    assert least <= best <= most
+
+
+def test_the_log_residual_does_not_change_with_the_unit():
+    depth, slam = torch.full((1, 1, 8, 8), 3.0), torch.full((1, 2), 2.0)
+    uv, mask = torch.full((1, 2, 2), 4.0), torch.ones(1, 2, dtype=torch.bool)
+    metres = depth_consistency(depth, uv, slam, mask, residual="log")
+    centimetres = depth_consistency(100 * depth, uv, 100 * slam, mask, residual="log")
+    assert metres.item() == pytest.approx(math.log(1.5), rel=1e-5)
+    assert centimetres.item() == pytest.approx(metres.item(), rel=1e-5)

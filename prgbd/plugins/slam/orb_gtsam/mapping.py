@@ -135,7 +135,7 @@ class Map:
         self.keyframes = KeyframeColumns(capacity, cells)
         self.points = PointColumns()
         self.current_map = 0
-        # Held by whoever reads or changes the map beside another thread; the mapper's solvers work on copies without it.
+        # Held by whoever reads or changes the map beside another thread; solvers work on copies without it.
         self.lock = threading.RLock()
 
     # Keyframes -------------------------------------------------------------------------------------------------
