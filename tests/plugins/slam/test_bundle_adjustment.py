@@ -5,7 +5,7 @@ from prgbd.core.errors import ContractError
 from prgbd.plugins.slam.orb_gtsam import schur
 from prgbd.plugins.slam.orb_gtsam.bundle_adjustment import local_bundle_adjustment
 from prgbd.plugins.slam.orb_gtsam.lie import exp_se3, log_se3
-from prgbd.plugins.slam.orb_gtsam.reprojection import linearise
+from prgbd.plugins.slam.orb_gtsam.reprojection import linearise, split_weights
 from prgbd.plugins.slam.orb_gtsam.sparse_cholesky import envelope, solve_envelope
 from tests.plugins.slam.scenes import CAMERA, drive, numerical_jacobian, project
 
@@ -17,13 +17,15 @@ def worst_pose_error(cTw, truth):
     return max(np.abs(log_se3(a @ np.linalg.inv(b))).max() for a, b in zip(cTw, truth, strict=True))
 
 
+@pytest.mark.parametrize("accuracy", [1.0, 0.2])
 @pytest.mark.parametrize("mono", [False, True])
-def test_derivatives_agree_with_finite_differences(mono):
+def test_derivatives_agree_with_finite_differences(mono, accuracy):
     observed = project(POSE, POINT[None])[0] + [3.0, -2.0, 1.0]
     if mono:
         observed[2] = -1.0
     G, e = np.ones((3, 6)), np.ones(3)
-    weight = linearise(POSE, POINT, observed, 0.5, np.array(CAMERA), False, G, e)
+    weight = linearise(POSE, POINT, observed, np.array([0.5, accuracy]), np.array(CAMERA), False, G, e)
+    G[2], e[2] = G[2] / accuracy, e[2] / accuracy
     A = G[:, 3:] @ POSE[:3, :3]
     rows = 2 if mono else 3
     by_pose = numerical_jacobian(lambda xi: project(exp_se3(xi) @ POSE, POINT[None])[0], 6)
@@ -35,14 +37,16 @@ def test_derivatives_agree_with_finite_differences(mono):
     assert not np.any(np.r_[A[rows:].ravel(), G[rows:].ravel(), e[rows:]])
 
 
-def test_the_huber_weight_is_the_derivative_of_the_cost():
+@pytest.mark.parametrize("accuracy", [1.0, 0.2])
+def test_the_huber_weight_is_the_derivative_of_the_cost(accuracy):
     observed = project(POSE, POINT[None])[0] + [9.0, -7.0, 5.0]
     G, e = np.ones((3, 6)), np.ones(3)
-    weight = linearise(POSE, POINT, observed, 0.5, np.array(CAMERA), True, G, e)
+    row = np.array([0.5, accuracy])
+    weight = linearise(POSE, POINT, observed, row, np.array(CAMERA), True, G, e)
 
     def cost(xi):
         one = np.zeros(1, np.int64)
-        problem = (np.stack([exp_se3(xi) @ POSE]), POINT[None], one, one, observed[None], np.array([0.5]))
+        problem = (np.stack([exp_se3(xi) @ POSE]), POINT[None], one, one, observed[None], row[None])
         return np.array([schur.total_cost(*problem, np.array(CAMERA), np.ones(1, np.bool_), True)])
 
     assert weight < 0.5
@@ -73,7 +77,8 @@ def test_the_envelope_solver_agrees_with_a_dense_one():
 def test_a_step_solves_the_full_normal_equations():
     scene = drive(keyframes=4, points=30, noise=1.0, mono=0.3)
     camera, order = np.array(CAMERA), np.argsort(scene.pt, kind="stable")
-    kf, pt, uvr, weight = scene.kf[order], scene.pt[order], scene.uvr[order], scene.inv_sigma2[order]
+    kf, pt, uvr, weight = scene.kf[order], scene.pt[order], scene.uvr[order], split_weights(scene.inv_sigma2[order])
+    weight[:, 1] = np.random.default_rng(1).uniform(0.1, 1.0, len(weight))
     P, free = 30, 2
     column = np.array([-1, -1, 0, 1])
     active = np.ones(len(kf), np.bool_)
@@ -224,3 +229,42 @@ def test_bad_numbers_are_outliers_and_bad_maps_are_refused():
     scene.xyz0[0, 0] = np.nan
     with pytest.raises(ContractError, match="not finite"):
         local_bundle_adjustment(*scene.problem)
+
+
+def test_one_variance_and_the_same_for_both_parts_give_identical_results():
+    scene = drive(noise=0.5, outliers=0.05, mono=0.3)
+    both = [*scene.problem]
+    both[6] = np.stack([scene.inv_sigma2] * 2, axis=1)
+    a, b = local_bundle_adjustment(*scene.problem), local_bundle_adjustment(*both)
+    np.testing.assert_array_equal(a.cTw, b.cTw)
+    np.testing.assert_array_equal(a.xyz, b.xyz)
+    np.testing.assert_array_equal(a.inlier, b.inlier)
+
+
+def test_a_weak_right_column_counts_for_little_and_one_without_weight_for_nothing():
+    scene = drive(noise=0.2)
+    scene.uvr[:, 2] += 8.0 * np.random.default_rng(3).standard_normal(len(scene.uvr))
+    believed = local_bundle_adjustment(*scene.problem)
+    weights = np.stack([scene.inv_sigma2, np.full(len(scene.uvr), 1 / 64.0)], axis=1)
+    doubted = local_bundle_adjustment(*scene.problem[:6], weights, *CAMERA)
+    assert worst_pose_error(doubted.cTw, scene.cTw) < 0.75 * worst_pose_error(believed.cTw, scene.cTw)
+    assert doubted.inlier.mean() > 0.95 > 0.5 > believed.inlier.mean()
+    weights[:, 1] = 0.0
+    none = local_bundle_adjustment(*scene.problem[:6], weights, *CAMERA)
+    mono = scene.uvr.copy()
+    mono[:, 2] = -1.0
+    expected = local_bundle_adjustment(*scene.problem[:5], mono, scene.inv_sigma2, *CAMERA)
+    np.testing.assert_array_equal(none.cTw, expected.cTw)
+
+
+def test_observations_with_a_wrong_depth_go_on_without_it():
+    scene = drive(noise=0.2)
+    wrong = np.random.default_rng(4).random(len(scene.uvr)) < 0.2
+    scene.uvr[wrong, 2] -= 25.0
+    plain = local_bundle_adjustment(*scene.problem)
+    kept = local_bundle_adjustment(*scene.problem, depth_fallback=True)
+    assert not plain.depth_rejected.any()
+    assert plain.inlier[wrong].mean() < 0.02
+    assert kept.depth_rejected[wrong].mean() > 0.9
+    assert kept.inlier[wrong].mean() > 0.9
+    assert kept.depth_rejected[~wrong].mean() < 0.05

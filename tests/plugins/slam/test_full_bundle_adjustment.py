@@ -7,12 +7,16 @@ from tests.plugins.slam.scenes import CAMERA, drive
 
 
 @pytest.mark.parametrize("robust", [False, True])
-@pytest.mark.parametrize("mono", [0.0, 0.4, 1.0])
-def test_gtsam_and_the_compiled_solver_reach_the_same_optimum(mono, robust):
+@pytest.mark.parametrize(("mono", "weak"), [(0.0, False), (0.4, False), (1.0, False), (0.4, True)])
+def test_gtsam_and_the_compiled_solver_reach_the_same_optimum(mono, weak, robust):
     scene = drive(noise=0.5, outliers=0.03 if robust else 0.0, mono=mono)
+    problem = [*scene.problem]
+    if weak:
+        share = np.random.default_rng(2).uniform(0.01, 1.0, len(scene.uvr))
+        problem[6] = np.stack([scene.inv_sigma2, scene.inv_sigma2 * share], axis=1)
     common = {"iterations": 100, "robust": robust, "tolerance": 1e-9}
-    ours = full_bundle_adjustment(*scene.problem, backend="numba", **common)
-    gtsam = full_bundle_adjustment(*scene.problem, backend="gtsam", **common)
+    ours = full_bundle_adjustment(*problem, backend="numba", **common)
+    gtsam = full_bundle_adjustment(*problem, backend="gtsam", **common)
     assert ours.final_cost < ours.initial_cost
     assert ours.initial_cost == gtsam.initial_cost
     assert ours.final_cost == pytest.approx(gtsam.final_cost, rel=1e-3)

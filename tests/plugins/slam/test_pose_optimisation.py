@@ -45,11 +45,11 @@ def test_outliers_are_found_and_do_not_pull(seed):
 
 def test_the_optimum_is_that_of_an_independent_solver():
     xyz, uvr, weight, _ = view(noise=0.3, seed=5)
-    weight = np.random.default_rng(1).uniform(0.3, 1.0, len(weight))
+    weight = np.random.default_rng(1).uniform(0.3, 1.0, (len(weight), 2))
     pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
 
     def residuals(xi):
-        error = (project(exp_se3(xi) @ TRUE, xyz) - uvr) * np.sqrt(weight)[:, None]
+        error = (project(exp_se3(xi) @ TRUE, xyz) - uvr) * np.sqrt(weight)[:, [0, 0, 1]]
         error[uvr[:, 2] < 0, 2] = 0
         return error[inlier].ravel()
 
@@ -60,7 +60,8 @@ def test_the_optimum_is_that_of_an_independent_solver():
 @pytest.mark.parametrize("mono", [0.0, 1.0])
 @pytest.mark.parametrize("robust", [False, True])
 def test_normal_equations_agree_with_finite_differences(mono, robust):
-    xyz, uvr, weight, _ = view(count=40, noise=3.0, mono=mono)
+    xyz, uvr, _, _ = view(count=40, noise=3.0, mono=mono)
+    weight = np.ones((40, 2))
     active = np.arange(40) % 5 > 0
     H, b = np.zeros((6, 6)), np.zeros(6)
     camera = np.array(CAMERA)
@@ -162,3 +163,14 @@ def test_the_interpreter_runs_meanwhile():
         gaps.append(time.perf_counter() - last)
         last = time.perf_counter()
     assert max(gaps) < 0.8 * (last - begin)
+
+
+def test_a_wrong_depth_costs_the_depth_and_not_the_match():
+    xyz, uvr, weight, _ = view(noise=0.3, mono=0.0, seed=3)
+    wrong = np.random.default_rng(4).random(len(xyz)) < 0.4
+    uvr[wrong, 2] -= 30.0
+    _, without = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA, depth_fallback=True)
+    assert without[wrong].mean() < 0.02
+    assert inlier[wrong].mean() > 0.95
+    assert np.abs(log_se3(pose @ np.linalg.inv(TRUE))).max() < 0.005

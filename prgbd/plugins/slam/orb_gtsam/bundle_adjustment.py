@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ContractError
-from prgbd.plugins.slam.orb_gtsam.schur import classify, minimise, total_cost
+from prgbd.plugins.slam.orb_gtsam.reprojection import split_weights
+from prgbd.plugins.slam.orb_gtsam.schur import classify, minimise, reject_depths, total_cost
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,6 +31,8 @@ class BundleResult:
             the start.
         final_cost: The same sum at the end; it can exceed the initial one only by what the observations that were
             removed as outliers cost.
+        depth_rejected: (M,) bool, observations that went on without their ``u_right``, because it made outliers of
+            pixels that fit; all False unless asked for.
     """
 
     cTw: FloatArray
@@ -37,6 +40,7 @@ class BundleResult:
     inlier: BoolArray
     initial_cost: float
     final_cost: float
+    depth_rejected: BoolArray
 
 
 @dataclass(frozen=True)
@@ -53,9 +57,10 @@ class BundleProblem:
         pt: (M,) row of the point, ascending.
         first: (P + 1,) where the observations of each point begin.
         uvr: (M, 3) pixels.
-        weight: (M,) inverse variance.
+        weight: (M, 2) as from ``split_weights``.
         camera: ``(fx, fy, cx, cy, bf)``.
         usable: (M,) bool, observations that are finite numbers of positive weight.
+        depth_rejected: (M,) bool, observations that ``reject_depths`` made monocular.
     """
 
     poses: FloatArray
@@ -70,6 +75,7 @@ class BundleProblem:
     weight: FloatArray
     camera: FloatArray
     usable: BoolArray
+    depth_rejected: BoolArray
 
     @classmethod
     def build(
@@ -98,9 +104,10 @@ class BundleProblem:
             raise ContractError("Bundle adjustment was given an observation of a keyframe or point that is not there.")
         free = ~np.asarray(fixed, np.bool_)
         sorted_uvr = np.array(uvr[order], np.float64, order="C")
-        weight = np.ascontiguousarray(inv_sigma2[order], np.float64)
+        weight = split_weights(inv_sigma2)[order]
         if not camera[4] > 0:
             sorted_uvr[:, 2] = -1.0
+        sorted_uvr[~(weight[:, 1] > 0), 2] = -1.0
         return cls(
             poses=poses,
             points=points,
@@ -113,7 +120,8 @@ class BundleProblem:
             uvr=sorted_uvr,
             weight=weight,
             camera=np.array(camera, np.float64),
-            usable=np.isfinite(sorted_uvr).all(axis=1) & np.isfinite(weight) & (weight > 0),
+            usable=np.isfinite(sorted_uvr).all(axis=1) & np.isfinite(weight).all(axis=1) & (weight[:, 0] > 0),
+            depth_rejected=np.zeros(len(kf), np.bool_),
         )
 
     def cost(self, robust: bool) -> float:
@@ -129,6 +137,20 @@ class BundleProblem:
         inlier = np.empty(len(self.kf), np.bool_)
         classify(self.poses, self.points, self.kf, self.pt, self.uvr, self.weight, self.camera, self.usable, inlier)
         return inlier
+
+    def reject_depths(self) -> None:
+        """Make monocular the observations that only their depth makes outliers."""
+        reject_depths(
+            self.poses,
+            self.points,
+            self.kf,
+            self.pt,
+            self.uvr,
+            self.weight,
+            self.camera,
+            self.usable,
+            self.depth_rejected,
+        )
 
     def minimise(self, active: BoolArray, robust: bool, iterations: int, tolerance: float = TOLERANCE) -> None:
         """Refine poses and points in place on the active observations."""
@@ -153,7 +175,9 @@ class BundleProblem:
         """Return poses and points with the observations' labels in their original order."""
         inlier = np.empty(len(self.kf), np.bool_)
         inlier[self.order] = self.inliers()
-        return BundleResult(self.poses, self.points, inlier, initial_cost, self.cost(robust))
+        rejected = np.empty(len(self.kf), np.bool_)
+        rejected[self.order] = self.depth_rejected
+        return BundleResult(self.poses, self.points, inlier, initial_cost, self.cost(robust), rejected)
 
 
 def local_bundle_adjustment(
@@ -171,6 +195,7 @@ def local_bundle_adjustment(
     bf: float,
     iterations: tuple[int, int] = (5, 10),
     robust: bool = True,
+    depth_fallback: bool = False,
 ) -> BundleResult:
     """Refine keyframes and points together, as ORB-SLAM2's ``LocalBundleAdjustment``.
 
@@ -184,7 +209,7 @@ def local_bundle_adjustment(
         obs_kf: (M,) row of the pose of every observation.
         obs_pt: (M,) row of its point.
         uvr: (M, 3) ``(u, v, u_right)`` in pixels; ``u_right < 0`` for monocular observations.
-        inv_sigma2: (M,) inverse variance, 1 / px^2.
+        inv_sigma2: (M,) inverse variance of ``(u, v, u_right)``, or (M, 2) of ``(u, v)`` and of ``u_right``; 1 / px^2.
         fx: Focal length in pixels.
         fy: Focal length in pixels.
         cx: Principal point in pixels.
@@ -192,6 +217,8 @@ def local_bundle_adjustment(
         bf: Baseline times ``fx``; not positive for a monocular camera, whose ``u_right`` are ignored.
         iterations: Most iterations of the two rounds; a round ends earlier when it has converged.
         robust: Whether to apply the kernel and the removal of outliers.
+        depth_fallback: Whether observations that only their depth makes outliers go on as monocular ones in the second
+            round (needs ``robust``).
 
     Returns:
         Refined poses and points, all finite.
@@ -202,5 +229,7 @@ def local_bundle_adjustment(
     problem = BundleProblem.build(cTw, fixed, xyz, obs_kf, obs_pt, uvr, inv_sigma2, (fx, fy, cx, cy, bf))
     initial_cost = problem.cost(robust)
     problem.minimise(problem.usable, robust, iterations[0])
+    if robust and depth_fallback:
+        problem.reject_depths()
     problem.minimise(problem.inliers() if robust else problem.usable, False, iterations[1])
     return problem.result(initial_cost, robust)

@@ -54,7 +54,7 @@ def full_bundle_adjustment(
         obs_kf: (M,) row of the pose of every observation.
         obs_pt: (M,) row of its point.
         uvr: (M, 3) ``(u, v, u_right)`` in pixels; ``u_right < 0`` for monocular observations.
-        inv_sigma2: (M,) inverse variance, 1 / px^2.
+        inv_sigma2: (M,) inverse variance of ``(u, v, u_right)``, or (M, 2) of ``(u, v)`` and of ``u_right``; 1 / px^2.
         fx: Focal length in pixels.
         fy: Focal length in pixels.
         cx: Principal point in pixels.
@@ -119,7 +119,7 @@ def _graph(problem: BundleProblem, wTc: FloatArray, robust: bool) -> gtsam.Nonli
     stereo_camera = gtsam.Cal3_S2Stereo(fx, fy, 0.0, cx, cy, max(bf, 0.0) / fx)
     count = len(problem.poses)
     graph = gtsam.NonlinearFactorGraph()
-    noises: dict[tuple[float, bool], gtsam.noiseModel.Base] = {}
+    noises: dict[tuple[float, float], gtsam.noiseModel.Base] = {}
     stereo = problem.uvr[:, 2] >= 0
     rows = zip(
         problem.kf.tolist(),
@@ -130,12 +130,13 @@ def _graph(problem: BundleProblem, wTc: FloatArray, robust: bool) -> gtsam.Nonli
         problem.usable.tolist(),
         strict=True,
     )
-    for kf, pt, (u, v, ur), weight, is_stereo, usable in rows:
+    for kf, pt, (u, v, ur), (weight, accuracy), is_stereo, usable in rows:
         if not usable:
             continue
-        noise = noises.get((weight, is_stereo))
+        accuracy = accuracy if is_stereo else 0.0
+        noise = noises.get((weight, accuracy))
         if noise is None:
-            noise = noises[weight, is_stereo] = _noise(weight, is_stereo, robust)
+            noise = noises[weight, accuracy] = _noise(weight, accuracy, robust)
         if is_stereo:
             point = gtsam.StereoPoint2(u, ur, v)
             graph.add(gtsam.GenericStereoFactor3D(point, noise, kf, pt, stereo_camera))
@@ -150,11 +151,16 @@ def _graph(problem: BundleProblem, wTc: FloatArray, robust: bool) -> gtsam.Nonli
     return graph
 
 
-def _noise(weight: float, stereo: bool, robust: bool) -> gtsam.noiseModel.Base:
-    noise = gtsam.noiseModel.Isotropic.Sigma(3 if stereo else 2, weight**-0.5)
+def _noise(weight: float, accuracy: float, robust: bool) -> gtsam.noiseModel.Base:
+    """Return the noise of ``(u, u_right, v)``, the order of GTSAM, or of ``(u, v)`` where ``accuracy`` is 0."""
+    sigma = weight**-0.5
+    if accuracy > 0:
+        noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([sigma, sigma / accuracy, sigma]))
+    else:
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, sigma)
     if not robust:
         return noise
-    kernel = gtsam.noiseModel.mEstimator.Huber.Create((CHI2_STEREO if stereo else CHI2_MONO) ** 0.5)
+    kernel = gtsam.noiseModel.mEstimator.Huber.Create((CHI2_STEREO if accuracy > 0 else CHI2_MONO) ** 0.5)
     return gtsam.noiseModel.Robust.Create(kernel, noise)
 
 

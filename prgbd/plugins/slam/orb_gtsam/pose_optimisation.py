@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.lie import compose_into, exp_se3_into, orthonormalise
-from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO, FAST, chi2_of, linearise, penalty
+from prgbd.plugins.slam.orb_gtsam.reprojection import (
+    CHI2_MONO,
+    CHI2_STEREO,
+    FAST,
+    chi2_of,
+    keep_monocular,
+    linearise,
+    penalty,
+    split_weights,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -29,6 +38,7 @@ def optimise_pose(
     cx: float,
     cy: float,
     bf: float,
+    depth_fallback: bool = False,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Refine a camera pose on observations of known points, as ORB-SLAM2's ``PoseOptimization``.
 
@@ -40,12 +50,14 @@ def optimise_pose(
         cTw0: (4, 4) first guess, world to camera.
         xyz: (N, 3) points in the world.
         uvr: (N, 3) observed ``(u, v, u_right)`` in pixels; ``u_right < 0`` for monocular observations.
-        inv_sigma2: (N,) inverse variance, 1 / px^2.
+        inv_sigma2: (N,) inverse variance of ``(u, v, u_right)``, or (N, 2) of ``(u, v)`` and of ``u_right``; 1 / px^2.
         fx: Focal length in pixels.
         fy: Focal length in pixels.
         cx: Principal point in pixels.
         cy: Principal point in pixels.
         bf: Baseline times ``fx``; unused where all observations are monocular.
+        depth_fallback: Whether observations that only their depth makes outliers count, without it, as monocular
+            inliers.
 
     Returns:
         The pose (4, 4) and which observations (N,) are inliers. Fewer than three usable observations leave the first
@@ -57,8 +69,9 @@ def optimise_pose(
         cTw,
         np.ascontiguousarray(xyz, np.float64),
         np.ascontiguousarray(uvr, np.float64),
-        np.ascontiguousarray(inv_sigma2, np.float64),
+        split_weights(inv_sigma2),
         np.array([fx, fy, cx, cy, bf], np.float64),
+        depth_fallback,
         inlier,
     )
     return cTw, inlier
@@ -69,7 +82,7 @@ def _cost(
     pose: FloatArray,
     xyz: FloatArray,
     uvr: FloatArray,
-    inv_sigma2: FloatArray,
+    weight: FloatArray,
     camera: FloatArray,
     active: NDArray[np.bool_],
     robust: bool,
@@ -78,7 +91,7 @@ def _cost(
     for k in range(len(xyz)):
         if not active[k]:
             continue
-        chi2 = chi2_of(pose, xyz[k], uvr[k], inv_sigma2[k], camera)
+        chi2 = chi2_of(pose, xyz[k], uvr[k], weight[k], camera)
         total += penalty(chi2, uvr[k, 2] >= 0.0, robust)
     return total
 
@@ -88,7 +101,7 @@ def _normal_equations(
     pose: FloatArray,
     xyz: FloatArray,
     uvr: FloatArray,
-    inv_sigma2: FloatArray,
+    weight: FloatArray,
     camera: FloatArray,
     active: NDArray[np.bool_],
     robust: bool,
@@ -100,7 +113,7 @@ def _normal_equations(
     b[:] = 0.0
     G, e = np.empty((3, 6)), np.empty(3)
     for k in range(len(xyz)):
-        w = linearise(pose, xyz[k], uvr[k], inv_sigma2[k], camera, robust, G, e) if active[k] else 0.0
+        w = linearise(pose, xyz[k], uvr[k], weight[k], camera, robust, G, e) if active[k] else 0.0
         if w == 0.0:
             continue
         for i in range(6):
@@ -143,18 +156,21 @@ def solve_damped(H: FloatArray, b: FloatArray, damping: float, L: FloatArray, x:
 def _optimise(
     pose: FloatArray,
     xyz: FloatArray,
-    uvr: FloatArray,
-    inv_sigma2: FloatArray,
+    measured: FloatArray,
+    weight: FloatArray,
     camera: FloatArray,
+    depth_fallback: bool,
     inlier: NDArray[np.bool_],
 ) -> None:
     n = len(xyz)
+    # Rejected depths are taken out of this copy, and get another chance in every round.
+    uvr = measured.copy()
     usable = np.empty(n, np.bool_)
     count = 0
     for k in range(n):
-        total = inv_sigma2[k]
+        total = weight[k, 0] + weight[k, 1]
         for j in range(3):
-            total += xyz[k, j] + uvr[k, j]
+            total += xyz[k, j] + measured[k, j]
         usable[k] = math.isfinite(total)
         inlier[k] = usable[k]
         count += usable[k]
@@ -166,15 +182,15 @@ def _optimise(
             break
         robust = outer < _ROUNDS - 1
         damping = 1e-5
-        cost = _cost(pose, xyz, uvr, inv_sigma2, camera, inlier, robust)
+        cost = _cost(pose, xyz, uvr, weight, camera, inlier, robust)
         for _ in range(_ITERATIONS):
-            _normal_equations(pose, xyz, uvr, inv_sigma2, camera, inlier, robust, H, b)
+            _normal_equations(pose, xyz, uvr, weight, camera, inlier, robust, H, b)
             before = cost
             for _ in range(8):
                 if solve_damped(H, b, damping, L, xi):
                     exp_se3_into(xi, delta)
                     compose_into(delta, pose, trial)
-                    reached = _cost(trial, xyz, uvr, inv_sigma2, camera, inlier, robust)
+                    reached = _cost(trial, xyz, uvr, weight, camera, inlier, robust)
                     if reached < cost:
                         cost = reached
                         # Element by element: numba compiles seconds of error messages into a slice assignment.
@@ -191,8 +207,11 @@ def _optimise(
         orthonormalise(pose)
         count = 0
         for k in range(n):
+            if depth_fallback and usable[k]:
+                uvr[k, 2] = measured[k, 2]
+                keep_monocular(pose, xyz[k], uvr[k], weight[k], camera)
             limit = CHI2_STEREO if uvr[k, 2] >= 0.0 else CHI2_MONO
-            inlier[k] = usable[k] and chi2_of(pose, xyz[k], uvr[k], inv_sigma2[k], camera) <= limit
+            inlier[k] = usable[k] and chi2_of(pose, xyz[k], uvr[k], weight[k], camera) <= limit
             count += inlier[k]
     if count < 3:
         inlier[:] = False

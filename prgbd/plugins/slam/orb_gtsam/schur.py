@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.lie import compose_into, exp_se3_into, orthonormalise
-from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO, FAST, chi2_of, linearise, penalty
+from prgbd.plugins.slam.orb_gtsam.reprojection import (
+    CHI2_MONO,
+    CHI2_STEREO,
+    FAST,
+    chi2_of,
+    keep_monocular,
+    linearise,
+    penalty,
+)
 from prgbd.plugins.slam.orb_gtsam.sparse_cholesky import envelope, solve_envelope
 
 FloatArray = NDArray[np.float64]
@@ -58,6 +66,24 @@ def classify(
         inlier[m] = usable[m] and chi2_of(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera) <= limit
 
 
+@numba.njit(cache=True, nogil=True)
+def reject_depths(
+    poses: FloatArray,
+    points: FloatArray,
+    kf: IntArray,
+    pt: IntArray,
+    uvr: FloatArray,
+    weight: FloatArray,
+    camera: FloatArray,
+    usable: BoolArray,
+    rejected: BoolArray,
+) -> None:
+    """Make monocular, in ``uvr``, the usable observations that only their depth makes outliers; mark them."""
+    for m in range(len(kf)):
+        if usable[m] and keep_monocular(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera):
+            rejected[m] = True
+
+
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 def normal_equations(
     poses: FloatArray,
@@ -78,7 +104,8 @@ def normal_equations(
 ) -> None:
     """Fill the blocks of the normal equations: ``U`` (F, 6, 6), ``V`` (P, 3, 3), ``W`` (M, 3, 6) and right sides.
 
-    ``column`` (K,) is the number of a free pose among the free ones, or -1 for a fixed one.
+    ``column`` (K,) is the number of a free pose among the free ones, or -1 for a fixed one; ``weight`` (M, 2) is as
+    from ``split_weights``.
     """
     U[:] = 0.0
     V[:] = 0.0
