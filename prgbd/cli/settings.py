@@ -216,7 +216,19 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
         depth_crop=evaluation.depth_crop,
         alignment=evaluation.alignment,
         seed=int(config["seed"]),
+        export=export_formats(config),
     )
+
+
+def export_formats(config: Mapping[str, Any]) -> tuple[str, ...]:
+    """Read in which formats SLAM's results are written.
+
+    Raises:
+        ConfigError: If one is unknown.
+    """
+    from prgbd.core.export import DEFAULT_FORMATS, check_formats
+
+    return check_formats(config.get("export", DEFAULT_FORMATS) or ())
 
 
 @dataclass(frozen=True)

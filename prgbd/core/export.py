@@ -1,27 +1,31 @@
-"""What SLAM found out, written to files that other programs read: npz, TUM, KITTI and PLY.
+"""What SLAM found out, written to files that other programs read: npz, TUM, KITTI, PLY and COLMAP's text.
 
 The heavy libraries are imported where they are used, so this module is cheap to import.
 """
 
 from __future__ import annotations
 
+import difflib
 import json
 import zipfile
 import zlib
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.core.errors import DataError
+from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.files import atomic_path, to_plain, write_json
-from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
+from prgbd.core.types import Frame, Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
 
 if TYPE_CHECKING:
     from evo.core.trajectory import PoseTrajectory3D
 
 FORMAT = 1
+FORMATS = ("tum", "kitti", "ply", "colmap", "colmap_images")
+DEFAULT_FORMATS = ("tum", "kitti", "ply")
 CAMERA_COLOUR = (255, 128, 0)
 
 
@@ -293,35 +297,80 @@ def write_ply(points: MapPoints, path: Path | str, centres: NDArray[np.float64] 
     return len(vertices)
 
 
-def write_slam_folder(result: SlamResult, folder: Path | str) -> None:
-    """Write all exports of one sequence into ``folder``: result.npz, TUM and KITTI trajectories, map.ply, slam.json.
+def check_formats(formats: Iterable[str]) -> tuple[str, ...]:
+    """Return the formats of ``write_slam_folder`` without repeats.
+
+    Raises:
+        ConfigError: If one of them is unknown.
+    """
+    formats = tuple(dict.fromkeys([formats] if isinstance(formats, str) else formats))
+    for name in formats:
+        if name not in FORMATS:
+            near = difflib.get_close_matches(str(name), FORMATS, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"choose from {', '.join(FORMATS)}."
+            raise ConfigError(f"There is no export format '{name}'; {hint}")
+    return formats
+
+
+def write_slam_folder(
+    result: SlamResult,
+    folder: Path | str,
+    formats: Iterable[str] = DEFAULT_FORMATS,
+    *,
+    frame: Callable[[int], Frame] | None = None,
+) -> None:
+    """Write one sequence's result into ``folder``: ``result.npz``, ``slam.json`` and what else is asked for.
 
     ``result.npz`` comes last, so a folder that has it is complete.
+
+    Args:
+        result: What SLAM found.
+        folder: The folder; made if needed.
+        formats: Any of ``FORMATS``: ``tum`` (``trajectory.tum, keyframes.tum, online.tum``), ``kitti``
+            (``trajectory.kitti, keyframes.kitti``), ``ply`` (``map.ply``), ``colmap`` (``colmap/sparse/0``) and
+            ``colmap_images`` (the same with the keyframes' images in ``colmap/images``).
+        frame: Returns the frame of a number; needed for ``colmap_images``.
+
+    Raises:
+        ConfigError: If a format is unknown, or ``colmap_images`` is asked for without ``frame``.
     """
+    formats = check_formats(formats)
+    if "colmap_images" in formats and frame is None:
+        raise ConfigError("The format colmap_images needs the frames; give frame=sequence.frame, or use colmap.")
     folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     keyframes = keyframe_trajectory(result.keyframes)
-    write_tum(result.trajectory, folder / "trajectory.tum")
-    filled = write_kitti(result.trajectory, folder / "trajectory.kitti", frames=result.frames)
-    write_tum(keyframes, folder / "keyframes.tum")
-    write_kitti(keyframes, folder / "keyframes.kitti")
-    if result.online is not None:
-        write_tum(result.online, folder / "online.tum")
-    write_ply(result.points, folder / "map.ply", centres=keyframes.positions)
-    states, counts = np.unique([str(s) for s in result.states], return_counts=True)
-    write_json(
-        folder / "slam.json",
-        {
-            "camera": result.camera.to_dict(),
-            "mode": result.mode,
-            "frames": result.frames,
-            "tracked_frames": result.tracked_frames,
-            "keyframes": len(result.keyframes),
-            "maps": len(np.unique(result.keyframes.map_id)),
-            "points": len(result.points),
-            "observations": len(result.observations),
-            "states": dict(zip(states.tolist(), counts.tolist(), strict=True)),
-            "kitti_lines_filled": filled,
-            "stats": result.stats,
-        },
-    )
+    if "tum" in formats:
+        write_tum(result.trajectory, folder / "trajectory.tum")
+        write_tum(keyframes, folder / "keyframes.tum")
+        if result.online is not None:
+            write_tum(result.online, folder / "online.tum")
+    if "kitti" in formats:
+        write_kitti(result.trajectory, folder / "trajectory.kitti", frames=result.frames)
+        write_kitti(keyframes, folder / "keyframes.kitti")
+    if "ply" in formats:
+        write_ply(result.points, folder / "map.ply", centres=keyframes.positions)
+    if {"colmap", "colmap_images"} & set(formats):
+        from prgbd.core.colmap import write_colmap
+
+        write_colmap(result, folder / "colmap", frame if "colmap_images" in formats else None)
+    write_json(folder / "slam.json", slam_figures(result))
     save_slam_result(result, folder / "result.npz")
+
+
+def slam_figures(result: SlamResult) -> dict[str, Any]:
+    """Return what ``slam.json`` holds; ``docs/summary-schema.md`` says what it means."""
+    states, counts = np.unique([str(s) for s in result.states], return_counts=True)
+    return {
+        "camera": result.camera.to_dict(),
+        "mode": result.mode,
+        "frames": result.frames,
+        "tracked_frames": result.tracked_frames,
+        "keyframes": len(result.keyframes),
+        "maps": len(np.unique(result.keyframes.map_id)),
+        "points": len(result.points),
+        "observations": len(result.observations),
+        "states": dict(zip(states.tolist(), counts.tolist(), strict=True)),
+        "kitti_lines_filled": result.frames - result.tracked_frames,
+        "stats": result.stats,
+    }

@@ -13,7 +13,7 @@ from typing import Any
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
-from prgbd.core.export import load_slam_result, write_slam_folder
+from prgbd.core.export import DEFAULT_FORMATS, load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
 from prgbd.loop.depth_figures import depth_figures, write_samples
@@ -42,6 +42,7 @@ class LoopSettings:
         depth_crop: ``none``, ``garg`` or ``eigen``.
         alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
         seed: Seed of everything random.
+        export: Formats of SLAM's results, see ``prgbd.core.export.write_slam_folder``.
 
     Raises:
         ConfigError: If a value cannot work.
@@ -58,6 +59,7 @@ class LoopSettings:
     depth_crop: str = "none"
     alignment: str = "sim3"
     seed: int = 0
+    export: tuple[str, ...] = DEFAULT_FORMATS
 
     def __post_init__(self) -> None:
         if isinstance(self.max_loops, bool) or not isinstance(self.max_loops, int) or self.max_loops < 0:
@@ -214,7 +216,7 @@ class SelfImprovingLoop:
         given = SlamInput(sensor, "rgbd", baseline, statistics)
         result = run_slam(self.make_slam, sequence, given, seed=self.settings.seed, monitor=self.monitor)
         with self.store.new_folder(self.store.loop(loop, "slam", sequence.name)) as folder:
-            write_slam_folder(result, folder)
+            write_slam_folder(result, folder, self.settings.export, frame=sequence.frame)
         return pose_figures(result, sequence, self.settings.alignment)
 
     def _evaluate_depth(self, loop: int, sensors: list[DepthSensor]) -> dict[str, Any] | None:

@@ -121,6 +121,16 @@ def test_slam_alone_uses_the_depth_that_was_asked_for(run, arguments, name, base
     assert summary["depth"] == ("test/tiny" if name == "pRGBD-Initial" else "")
 
 
+def test_results_are_exported_in_the_formats_that_were_chosen(run, cli):
+    run("task=slam", "slam.mode=mono", "export=[tum,colmap_images]")
+    found = files(Path("run/loops/00/slam/wall"))
+    sparse = {f"colmap/sparse/0/{name}.txt" for name in ("cameras", "images", "points3D")}
+    images = {path for path in found if path.startswith("colmap/images/")}
+    assert found - images == {"result.npz", "slam.json", "trajectory.tum", "keyframes.tum", "online.tum"} | sparse
+    assert "colmap/images/000000.png" in images
+    assert "did you mean 'kitti'" in cli(*FAKES, "task=slam", "export=[kiti]", "out=wrong").sentence
+
+
 def test_adaptive_baseline_by_percentile(run):
     everything = run("task=slam")
     assert everything["loops"][0]["depth_max"]["wall"] > 3.0

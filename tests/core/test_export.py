@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prgbd.core.errors import DataError
+from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.export import (
     load_slam_result,
     read_kitti,
@@ -97,6 +97,33 @@ def test_the_slam_folder_has_the_whole_contract(tmp_path):
         "result.npz", "trajectory.tum", "trajectory.kitti", "keyframes.tum", "keyframes.kitti", "online.tum",
         "map.ply", "slam.json",
     }  # fmt: skip
+
+
+def test_a_result_saves_and_loads_itself(tmp_path):
+    result = make_result()
+    result.save(tmp_path / "out")
+    assert (tmp_path / "out" / "map.ply").is_file()
+    for path in (tmp_path / "out", str(tmp_path / "out" / "result.npz")):
+        again = SlamResult.load(path)
+        np.testing.assert_array_equal(again.trajectory.wTc, result.trajectory.wTc)
+        np.testing.assert_array_equal(again.observations.uv, result.observations.uv)
+        assert again.states == result.states
+    np.testing.assert_array_equal(again.to_evo().poses_se3, result.trajectory.wTc)
+    np.testing.assert_array_equal(again.to_evo().timestamps, result.trajectory.timestamp)
+    with pytest.raises(DataError, match="no SLAM result"):
+        SlamResult.load(tmp_path)
+
+
+def test_only_the_formats_that_are_asked_for_are_written(tmp_path):
+    make_result().save(tmp_path / "a", formats=["colmap"])
+    assert {p.name for p in (tmp_path / "a").iterdir()} == {"result.npz", "slam.json", "colmap"}
+    make_result().save(tmp_path / "b", formats=())
+    assert {p.name for p in (tmp_path / "b").iterdir()} == {"result.npz", "slam.json"}
+    with pytest.raises(ConfigError, match="'colmp'; did you mean 'colmap'"):
+        make_result().save(tmp_path / "c", formats=["colmp"])
+    assert not (tmp_path / "c").exists()
+    with pytest.raises(ConfigError, match="needs the frames"):
+        make_result().save(tmp_path / "c", formats=["colmap_images"])
 
 
 @pytest.mark.parametrize("keep", [0, 10, 0.3, 0.9, 0.999])

@@ -67,5 +67,5 @@ def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
     given = sensor_input(sequence, parts.mode, parts.baseline)
     result = run_slam(parts.make_slam, sequence, given, seed=int(job.config["seed"]), monitor=job.display)
     with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
-        write_slam_folder(result, folder)
+        write_slam_folder(result, folder, settings.export_formats(job.config), frame=sequence.frame)
     return pose_figures(result, sequence, str(job.config["evaluation"]["alignment"]))
