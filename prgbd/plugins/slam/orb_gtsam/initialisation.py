@@ -33,12 +33,14 @@ class Started:
 
     Attributes:
         reference: Keyframe made of the present frame.
+        keyframes: All keyframes of the new map, the earliest first.
         cTw: (4, 4) its pose.
         points: (N,) int64 point of every keypoint.
         earlier: Earlier frames that got a pose as well.
     """
 
     reference: int
+    keyframes: tuple[int, ...]
     cTw: FloatArray
     points: IntArray
     earlier: list[Placed] = field(default_factory=list)
@@ -74,4 +76,4 @@ class DepthStarter(Starter):
             return None
         k = self.mapper.add_keyframe(frame.index, frame.timestamp, self.origin, features, frame.points)
         points = self.mapper.lift_all(k)
-        return Started(k, self.origin, points)
+        return Started(k, (k,), self.origin, points)

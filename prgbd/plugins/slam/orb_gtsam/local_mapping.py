@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -22,6 +24,7 @@ from prgbd.plugins.slam.orb_gtsam.triangulation import create_points
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Solver = Callable[[], BundleResult]
 
 # ORB-SLAM2 (LocalMapping::SearchInNeighbors): neighbours of a neighbour that take part in fusion.
 _SECOND_NEIGHBOURS = 5
@@ -38,10 +41,14 @@ class LocalMapper:
         world: The map.
         near: Covisible keyframes, cleared whenever the map changes.
         watch: Gathers stage times.
+
+    Attributes:
+        after_culling: Called with each keyframe that was taken out of the map, under ``Map.lock``.
     """
 
     def __init__(self, settings: Settings, rig: Rig, world: Map, near: Neighbourhoods, watch: Stopwatch) -> None:
         self.settings, self.rig, self.world, self.near, self.watch = settings, rig, world, near, watch
+        self.after_culling: list[Callable[[int], None]] = []
         self.keyframes_added = 0
         self.keyframes_culled = 0
         self.points_culled = 0
@@ -82,22 +89,34 @@ class LocalMapper:
         return order[self.world.points_of(k)[order] < 0]
 
     def process(self, k: int) -> None:
-        """Cull, create, fuse, adjust around the new keyframe ``k``."""
-        watch, settings = self.watch, self.settings
-        with watch("point_culling"):
+        """Cull, create, fuse, adjust around the new keyframe ``k``.
+
+        The map's lock is taken for one short step after the other, so that a tracker beside it waits for one at most.
+        """
+        watch, lock = self.watch, self.world.lock
+        with watch("point_culling"), lock:
             self._cull_points(k)
         with watch("triangulation"):
             self._triangulate(k)
         with watch("fusion"):
             self._fuse(k)
-        self.near.clear()
-        if settings.local_ba and len(self.world.alive()) > 2:
+        self._changed()
+        if self.settings.local_ba and len(self._mapped(k)) > 2:
             with watch("local_ba"):
                 self.adjust(k)
-            self.near.clear()
+            self._changed()
         with watch("keyframe_culling"):
             self._cull_keyframes(k)
-        self.near.clear()
+        self._changed()
+
+    def _changed(self) -> None:
+        with self.world.lock:
+            self.near.clear()
+
+    def _mapped(self, k: int) -> IntArray:
+        """Return the keyframes of the map of ``k``, which need not be the current one if the mapper lags behind."""
+        with self.world.lock:
+            return self.world.alive(int(self.world.keyframes.map_id[k]))
 
     def _neighbours(self, k: int) -> IntArray:
         count = self.settings.neighbours_mono if self.rig.mono else self.settings.neighbours
@@ -120,29 +139,54 @@ class LocalMapper:
         self._recent = kept
 
     def _triangulate(self, k: int) -> None:
-        created = [create_points(self.world, self.rig, self.settings, k, int(n)) for n in self._neighbours(k)]
-        new = np.concatenate(created) if created else np.zeros(0, np.int64)
+        world = self.world
+        with world.lock:
+            neighbours = self._neighbours(k).tolist()
+        created = [np.zeros(0, np.int64)]
+        for n in neighbours:
+            with world.lock:
+                created.append(create_points(world, self.rig, self.settings, k, n))
+        new = np.concatenate(created)
         if len(new):
-            self.world.refresh(new)
+            with world.lock:
+                world.refresh(new)
             self._recent.append((k, new))
 
     def _fuse(self, k: int) -> None:
         world = self.world
-        targets = dict.fromkeys(int(n) for n in self._neighbours(k))
-        for n in list(targets):
-            targets.update(dict.fromkeys(int(m) for m in self.near.of(n)[:_SECOND_NEIGHBOURS] if int(m) != k))
+        with world.lock:
+            targets = dict.fromkeys(int(n) for n in self._neighbours(k))
+            for n in list(targets):
+                targets.update(dict.fromkeys(int(m) for m in self.near.of(n)[:_SECOND_NEIGHBOURS] if int(m) != k))
         for target in targets:
+            with world.lock:
+                points = world.points_of(k)
+                fuse_into(world, self.rig, self.settings, target, points[points >= 0])
+        with world.lock:
+            if targets:
+                fuse_into(world, self.rig, self.settings, k, world.seen_by(np.array(list(targets))))
             points = world.points_of(k)
-            fuse_into(world, self.rig, self.settings, target, points[points >= 0])
-        if targets:
-            fuse_into(world, self.rig, self.settings, k, world.seen_by(np.array(list(targets))))
-        points = world.points_of(k)
-        world.refresh(points[points >= 0])
+            world.refresh(points[points >= 0])
 
     def adjust(self, k: int) -> None:
         """Bundle adjustment of ``k``, its covisible keyframes and all their points."""
+        world = self.world
+        with world.lock:
+            keyframes, fixed, points, seen, solve = self._local_problem(k)
+        # On copies: the tracker goes on meanwhile, and may add keyframes.
+        result = solve()
+        with world.lock:
+            for i, keyframe in enumerate(keyframes.tolist()):
+                if not fixed[i]:
+                    world.set_pose(keyframe, result.cTw[i])
+            world.points.xyz[points] = result.xyz
+            self.drop_observations(seen[~result.inlier])
+            world.refresh(points[~world.points.bad[points]])
+
+    def _local_problem(self, k: int) -> tuple[IntArray, NDArray[np.bool_], IntArray, IntArray, Solver]:
+        """Collect keyframes, which of them are fixed, points, observations, and the solver with a copy of them all."""
         world, settings, kf = self.world, self.settings, self.world.keyframes
-        first = int(world.alive()[0])
+        first = int(self._mapped(k)[0])
         local = np.append(k, self.near.of(k)[: settings.local_ba_keyframes - 1])
         points = world.seen_by(local)
         seen = world.observations(points)
@@ -155,23 +199,12 @@ class LocalMapper:
         fixed |= keyframes == first
         if not fixed.any():
             fixed[np.argmin(keyframes)] = True
-        result, seen = self._solve(keyframes, fixed, points, seen)
-        for i, keyframe in enumerate(keyframes.tolist()):
-            if not fixed[i]:
-                world.set_pose(keyframe, result.cTw[i])
-        world.points.xyz[points] = result.xyz
-        self.drop_observations(seen[~result.inlier])
-        world.refresh(points[~world.points.bad[points]])
-
-    def _solve(
-        self, keyframes: IntArray, fixed: NDArray[np.bool_], points: IntArray, seen: IntArray
-    ) -> tuple[BundleResult, IntArray]:
-        world, kf = self.world, self.world.keyframes
         column = np.full(kf.count, -1, np.int64)
         column[keyframes] = np.arange(len(keyframes))
         seen = seen[column[seen[:, 0]] >= 0]
         at, row = seen[:, 0], seen[:, 1]
-        result = local_bundle_adjustment(
+        solve = partial(
+            local_bundle_adjustment,
             kf.cTw[keyframes],
             fixed,
             world.points.xyz[points],
@@ -180,9 +213,9 @@ class LocalMapper:
             measurements(kf.uv[at, row], kf.u_right[at, row]),
             self.rig.inverse_variance[kf.octave[at, row]],
             *self.rig.intrinsics,
-            iterations=self.settings.local_ba_iterations,
+            iterations=settings.local_ba_iterations,
         )
-        return result, seen
+        return keyframes, fixed, points, seen, solve
 
     def drop_observations(self, outliers: IntArray) -> None:
         """Remove observations ((M, 3) as from ``Map.observations``), and points that keep at most two."""
@@ -195,25 +228,36 @@ class LocalMapper:
 
     def _cull_keyframes(self, k: int) -> None:
         """Remove keyframes whose points three others see as well or better (LocalMapping::KeyFrameCulling)."""
-        world, kf = self.world, self.world.keyframes
-        first = int(world.alive()[0])
-        for candidate in self.near.of(k).tolist():
-            if candidate in (first, k):
+        world = self.world
+        first = int(self._mapped(k)[0])
+        with world.lock:
+            candidates = self.near.of(k).tolist()
+        for candidate in candidates:
+            # A later keyframe waits to be mapped itself.
+            if candidate == first or candidate >= k:
                 continue
-            share = _redundant_share(
-                kf.point,
-                kf.following,
-                kf.octave,
-                kf.depth,
-                world.points.head,
-                candidate,
-                0.0 if self.rig.mono else self.rig.close_depth,
-            )
-            if share > self.settings.redundancy:
-                parents = world.covisible(candidate, 1)[0]
-                parents = parents[parents != candidate]
-                world.cull_keyframe(candidate, int(parents[0]))
-                self.keyframes_culled += 1
+            with world.lock:
+                self._cull_if_redundant(candidate)
+
+    def _cull_if_redundant(self, candidate: int) -> None:
+        world, kf = self.world, self.world.keyframes
+        share = _redundant_share(
+            kf.point,
+            kf.following,
+            kf.octave,
+            kf.depth,
+            world.points.head,
+            candidate,
+            0.0 if self.rig.mono else self.rig.close_depth,
+        )
+        if share <= self.settings.redundancy:
+            return
+        parents = world.covisible(candidate, 1)[0]
+        parents = parents[parents != candidate]
+        world.cull_keyframe(candidate, int(parents[0]))
+        self.keyframes_culled += 1
+        for callback in self.after_culling:
+            callback(candidate)
 
     def statistics(self) -> dict[str, Any]:
         """Return counts for the result."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam import map_kernels as kernels
 from prgbd.plugins.slam.orb_gtsam.features import Features
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.locking import FairLock
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -136,7 +135,7 @@ class Map:
         self.points = PointColumns()
         self.current_map = 0
         # Held by whoever reads or changes the map beside another thread; solvers work on copies without it.
-        self.lock = threading.RLock()
+        self.lock = FairLock()
 
     # Keyframes -------------------------------------------------------------------------------------------------
 
@@ -183,10 +182,11 @@ class Map:
         """Return the point of every keypoint of keyframe ``k``, (N,) int64 with -1 for none, as a view."""
         return self.keyframes.point[k, : self.keyframes.size[k]]
 
-    def alive(self) -> IntArray:
-        """Return the numbers of the keyframes of the current map that are not culled."""
+    def alive(self, map_id: int | None = None) -> IntArray:
+        """Return the keyframes of a map (the current one by default) that are not culled."""
         kf = self.keyframes
-        return np.flatnonzero(~kf.bad[: kf.count] & (kf.map_id[: kf.count] == self.current_map))
+        chosen = self.current_map if map_id is None else map_id
+        return np.flatnonzero(~kf.bad[: kf.count] & (kf.map_id[: kf.count] == chosen))
 
     def covisible(self, k: int, least: int) -> tuple[IntArray, IntArray]:
         """Return the keyframes that share at least ``least`` points with ``k``, most first, and how many.

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, ContractError
 from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
+from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
-from prgbd.plugins.slam.orb_gtsam.diagnostics import depth_ratio
 from prgbd.plugins.slam.orb_gtsam.features import OrbExtractor
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.frontend import FrontEnd
 from prgbd.plugins.slam.orb_gtsam.global_adjustment import adjust_map
-from prgbd.plugins.slam.orb_gtsam.history import History
 from prgbd.plugins.slam.orb_gtsam.initialisation import DepthStarter, Starter
-from prgbd.plugins.slam.orb_gtsam.keyframe_decision import needs_keyframe
-from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
-from prgbd.plugins.slam.orb_gtsam.recovery import recover
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
 from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
-
-log = logging.getLogger(__name__)
 
 
 class OrbGtsamSLAM(GeometricSLAM):
@@ -70,6 +63,7 @@ class OrbGtsamSLAM(GeometricSLAM):
                 "orb_gtsam takes undistorted images, but the camera has distortion; undistort the frames and pass "
                 "camera.undistorted()."
             )
+        self.close()
         announce_compilation()
         settings = self.settings
         self._extractor = OrbExtractor(settings, camera.width, camera.height)
@@ -87,20 +81,14 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._map = Map(self._extractor.capacity, cells, self._rig.scales)
         self._near = Neighbourhoods(self._map, settings.covisible_weight)
         self._watch = Stopwatch()
-        self._mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
-        self._tracker = Tracker(settings, self._rig, self._map, self._near)
-        self._history = History()
+        mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
+        self._backend = MappingBackend(mapper, self._watch)
         least = settings.keypoints_to_start(camera.width, camera.height)
-        self._starter: Starter = (
-            TwoViewStarter(settings, self._rig, self._mapper, least, seed)
-            if self._rig.mono
-            else DepthStarter(self._mapper, least)
+        starter: Starter = (
+            TwoViewStarter(settings, self._rig, mapper, least, seed) if self._rig.mono else DepthStarter(mapper, least)
         )
-        self._fps = fps
-        self._started = False
-        self._lost = 0
-        self._last_keyframe = -1
-        self._ratios: list[float] = []
+        tracker = Tracker(settings, self._rig, self._map, self._near)
+        self._frontend = FrontEnd(tracker, starter, self._backend, self._watch, fps)
         self._ready = True
 
     def track(self, frame: Frame) -> TrackingResult:
@@ -114,11 +102,13 @@ class OrbGtsamSLAM(GeometricSLAM):
         with self._watch("features"):
             depth = None if self._rig.mono else frame.depth
             features = self._extractor.extract(frame.image, depth, self._rig.bf, self._rig.trusted_depth)
-        self._ratios.append(float("nan"))
-        current = TrackedFrame(frame.index, frame.timestamp, len(self._history.states), features)
+        self._backend.check()
         with self._watch("frame_total"):
-            result = self._continue(current) if self._started else self._start(current)
-        self._history.add(result.state, result.inliers)
+            with self._map.lock:
+                current = TrackedFrame(frame.index, frame.timestamp, len(self._frontend.history.states), features)
+                result, handovers = self._frontend.take(current)
+            for handover in handovers:
+                self._backend.submit(handover.keyframe, local_mapping=handover.local_mapping)
         return result
 
     def _check(self, frame: Frame) -> None:
@@ -133,100 +123,29 @@ class OrbGtsamSLAM(GeometricSLAM):
             found = None if frame.depth is None else frame.depth.shape
             raise ContractError(f"Frame {frame.index} has depth {found}, but mode 'rgbd' needs {shape}; use 'mono'.")
 
-    def _start(self, frame: TrackedFrame) -> TrackingResult:
-        with self._watch("initialisation"):
-            started = self._starter.add(frame)
-        if started is None:
-            return TrackingResult(TrackingState.NOT_INITIALIZED)
-        tracker = self._tracker
-        tracker.reference, tracker.velocity, tracker.last = started.reference, None, None
-        frame.cTw, frame.points = started.cTw, started.points
-        self._near.clear()
-        tracker.refer(frame)
-        for placed in started.earlier:
-            self._place(placed.frame_index, placed.timestamp, placed.reference, placed.cTw)
-            self._history.amend(placed.ordinal, TrackingState.OK, placed.inliers)
-        self._place(frame.index, frame.timestamp, started.reference, frame.cTw)
-        self._started, self._lost, self._last_keyframe = True, 0, frame.ordinal
-        inliers = len(frame.matched())
-        return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, True)
-
-    def _continue(self, frame: TrackedFrame) -> TrackingResult:
-        tracker = self._tracker
-        inliers = 0
-        if self._lost == 0:
-            with self._watch("tracking"):
-                inliers = tracker.track(frame)
-        if not inliers:
-            with self._watch("recovery"):
-                inliers = recover(tracker, frame)
-        if not inliers:
-            return self._lose(frame)
-        if self._lost:
-            log.info("Tracking recovered at frame %d after %d lost frames.", frame.index, self._lost)
-        self._lost = 0
-        self._ratios[-1] = depth_ratio(self._map, frame)
-        keyframe = needs_keyframe(
-            self._map,
-            self._rig,
-            self.settings,
-            frame,
-            inliers,
-            tracker.reference,
-            frame.ordinal - self._last_keyframe,
-            self._fps,
-        )
-        if keyframe:
-            # Outliers go along: bundle adjustment, not one frame, decides about them.
-            k = self._mapper.add_keyframe(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
-            tracker.reference, self._last_keyframe = k, frame.ordinal
-            frame.points = self._map.points_of(k).copy()
-        tracker.remember(frame)
-        frame_cTw = frame.cTw
-        frame.drop_outliers()
-        self._place(frame.index, frame.timestamp, tracker.reference, frame_cTw)
-        if keyframe:
-            with self._watch("mapping"):
-                self._mapper.process(tracker.reference)
-        return TrackingResult(TrackingState.OK, inverse(frame_cTw), inliers, keyframe)
-
-    def _lose(self, frame: TrackedFrame) -> TrackingResult:
-        """Count a lost frame, and start a new map if there is little to go back to."""
-        self._lost += 1
-        self._tracker.velocity = None
-        small = len(self._map.alive()) <= self.settings.restart_keyframes
-        if small or self._lost >= self.settings.restart_after:
-            log.info("Tracking is lost at frame %d; starting a new map.", frame.index)
-            self._map.current_map += 1
-            self._starter.begin_at(self._tracker.last_pose())
-            self._near.clear()
-            self._started = False
-        return TrackingResult(TrackingState.LOST)
-
-    def _place(self, index: int, timestamp: float, reference: int, cTw: NDArray[np.float64]) -> None:
-        cTref = cTw @ inverse(self._map.keyframes.cTw[reference])
-        self._history.place(index, timestamp, reference, cTref, inverse(cTw))
-
     def finish(self) -> SlamResult:
         """End the sequence; see ``GeometricSLAM.finish``."""
         self._require_ready()
-        stats: dict[str, Any] = {}
+        self._backend.drain()
+        history, stats = self._frontend.history, dict[str, Any]()
         if self.settings.full_ba:
             with self._watch("full_ba"):
-                stats["full_ba"] = adjust_map(self._map, self._rig, self.settings, self._mapper)
-        stats |= self._mapper.statistics()
+                stats["full_ba"] = adjust_map(self._map, self._rig, self.settings, self._backend.mapper)
+        stats |= self._backend.statistics()
         stats["stages_ms"] = self._watch.statistics()
         stats["maps"] = self._map.current_map + 1
-        stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in self._history.states)
-        stats["depth_ratio"] = [None if np.isnan(r) else round(r, 4) for r in self._ratios]
+        stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
+        stats["depth_ratio"] = [None if np.isnan(r) else round(r, 4) for r in self._frontend.depth_ratios]
         stats["baseline"] = self._rig.baseline
-        result = self._history.result(self._map, self._rig, stats)
+        result = history.result(self._map, self._rig, stats)
         self._ready = False
         return result
 
     def close(self) -> None:
-        """Free the map."""
-        for name in ("_map", "_mapper", "_tracker", "_history", "_starter", "_extractor", "_near"):
+        """Stop the mapper and free the map."""
+        if "_backend" in self.__dict__:
+            self._backend.close()
+        for name in ("_map", "_backend", "_frontend", "_extractor", "_near"):
             self.__dict__.pop(name, None)
         self._ready = False
 

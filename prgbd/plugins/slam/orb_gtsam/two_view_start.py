@@ -142,7 +142,8 @@ class TwoViewStarter(Starter):
         world.refresh(ids)
         earlier = [*self._place_earlier(first, k1, ids), _placed(first, k1, self.origin, len(ids))]
         earlier += self._place_between(first, second, k1, k2, ids)
-        return Started(k2, cTw, world.points_of(k2).copy(), sorted(earlier, key=lambda placed: placed.ordinal))
+        earlier.sort(key=lambda placed: placed.ordinal)
+        return Started(k2, (k1, k2), cTw, world.points_of(k2).copy(), earlier)
 
     def _adjust(
         self, first: TrackedFrame, second: TrackedFrame, rows: IntArray, partners: IntArray, views: TwoView

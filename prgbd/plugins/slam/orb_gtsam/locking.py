@@ -1,0 +1,64 @@
+"""The lock of the map: fair between tracker and mapper."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from types import TracebackType
+
+
+class FairLock:
+    """A reentrant lock that threads get in the order in which they asked for it.
+
+    ``threading.RLock`` lets a thread that releases and asks again at once (the mapper, between two of its many short
+    steps) overtake one that has been waiting (the tracker) for as long as it likes. Here the wait is one step.
+    """
+
+    def __init__(self) -> None:
+        self._mutex = threading.Lock()
+        self._queue: deque[threading.Lock] = deque()
+        self._owner: int | None = None
+        self._depth = 0
+
+    def acquire(self) -> None:
+        """Wait for the lock; the owner may take it again."""
+        me = threading.get_ident()
+        with self._mutex:
+            if self._owner is None or self._owner == me:
+                self._owner = me
+                self._depth += 1
+                return
+            turn = threading.Lock()
+            turn.acquire()
+            self._queue.append(turn)
+        turn.acquire()
+        with self._mutex:
+            # The one who released has handed the lock over, so nobody could take it in between.
+            self._owner, self._depth = me, 1
+
+    def release(self) -> None:
+        """Give the lock to who waits longest.
+
+        Raises:
+            RuntimeError: If the thread does not hold it.
+        """
+        with self._mutex:
+            if self._owner != threading.get_ident():
+                raise RuntimeError("The lock of the map was released by a thread that does not hold it.")
+            self._depth -= 1
+            if self._depth:
+                return
+            if self._queue:
+                self._owner = -1
+                self._queue.popleft().release()
+            else:
+                self._owner = None
+
+    def __enter__(self) -> FairLock:
+        self.acquire()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        self.release()
