@@ -29,12 +29,13 @@ def with_checks(kind: str, plugin_id: str, plugin: Any) -> Any:
         return CheckedSLAM(plugin, who)
     if kind == "data":
         return CheckedSequence(plugin, who)
-    _check_declarations(plugin, who)
+    check_declarations(plugin, who)
     plugin.register_forward_hook(functools.partial(_check_forward, who))
     return plugin
 
 
-def _check_declarations(estimator: Any, who: str) -> None:
+def check_declarations(estimator: Any, who: str) -> None:
+    """Require the declarations of a depth estimator to make sense."""
     size = getattr(estimator, "input_size", None)
     require(
         isinstance(size, tuple) and len(size) == 2 and all(int(v) > 0 for v in size),

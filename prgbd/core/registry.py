@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import importlib.util
 import inspect
 import re
 from collections.abc import Mapping
@@ -43,6 +44,8 @@ class PluginSpec:
         description: One line for listings.
         origin: Where it comes from: ``built-in``, ``registered in code`` or a distribution with its version.
         kwargs: Default keyword arguments of the class.
+        extra: The optional dependencies that it needs, as ``pip install 'prgbd[extra]'`` names them; "" for none.
+        requires: The modules that the extra brings.
     """
 
     kind: str
@@ -51,6 +54,13 @@ class PluginSpec:
     description: str = ""
     origin: str = "registered in code"
     kwargs: Mapping[str, Any] = field(default_factory=dict)
+    extra: str = ""
+    requires: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The modules of ``requires`` that are not installed; none is imported."""
+        return tuple(name for name in self.requires if importlib.util.find_spec(name) is None)
 
     @property
     def versionless(self) -> str:
@@ -104,7 +114,8 @@ class Registry:
         found = {spec_id: spec for (k, spec_id), spec in self._specs.items() if k == kind}
         for entry in metadata.entry_points(group=f"prgbd.{kind}"):
             origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "entry point"
-            spec = PluginSpec(kind, entry.name, entry.value, _summary(entry), origin)
+            target = entry.value.partition("[")[0].strip()  # what an extra of the package is written in
+            spec = PluginSpec(kind, entry.name, target, _summary(entry), origin)
             if ID_PATTERN.match(entry.name):
                 found.setdefault(entry.name, spec)
         return list(found.values())
@@ -130,9 +141,15 @@ class Registry:
         """Import the class of a plug-in.
 
         Raises:
-            BrokenPluginError: If the import fails; the message names the plug-in and the package it comes from.
+            BrokenPluginError: If the import fails; the message names the plug-in and the package it comes from, or
+                the extra that is not installed.
             ContractError: If the class does not implement the interface of its kind.
         """
+        if spec.missing:
+            raise BrokenPluginError(
+                f"The {spec.kind} plug-in '{spec.id}' needs {' and '.join(spec.missing)}; "
+                f"pip install 'prgbd[{spec.extra}]'."
+            )
         try:
             target = _import(spec.target)
         except Exception as error:

@@ -15,8 +15,20 @@ BUILT_IN = (
     ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),
     ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),
 )
+# The extra of pyproject.toml that a plug-in needs, and the modules that it brings.
+EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {}
 
 for _kind, _id, _target, _description in BUILT_IN:
+    _extra, _requires = EXTRAS.get((_kind, _id), ("", ()))
     REGISTRY.register(
-        PluginSpec(_kind, _id, f"prgbd.plugins.{_kind}.{_target}", _description, origin="built-in"), override=True
+        PluginSpec(
+            _kind,
+            _id,
+            f"prgbd.plugins.{_kind}.{_target}",
+            _description,
+            origin="built-in",
+            extra=_extra,
+            requires=_requires,
+        ),
+        override=True,
     )

@@ -82,6 +82,13 @@ def test_spoilt_depth_names_plugin_and_frame_and_keeps_what_was_done(cli, networ
     assert not list(Path("run/cache").glob("*"))
 
 
+def test_depth_of_the_wrong_shape_names_the_plugin_and_the_right_shape(cli):
+    answer = cli(FAKES[0], "depth=test/flat", FAKES[2], "out=run")
+    assert answer.code == 2
+    for word in ("'test/flat'", "must be (1, 1, H, W)"):
+        assert word in answer.sentence
+
+
 def test_debug_shows_the_traceback(cli):
     answer = cli(*FAKES, "slam.baseline=-1", "debug=true")
     assert answer.code == 2

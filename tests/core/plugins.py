@@ -44,6 +44,11 @@ class NotAPrediction(Constant):
         return super().forward(images).depth
 
 
+class Raises(Constant):
+    def forward(self, images):
+        return 1 / 0
+
+
 class FailsToStart(Constant):
     def __init__(self) -> None:
         raise RuntimeError("no licence")

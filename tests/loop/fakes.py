@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -137,6 +138,13 @@ class NanDepth(Tiny):
         return depth
 
 
+class WrongShape(Tiny):
+    """Forgets the dimension of the channels."""
+
+    def forward(self, images):
+        return replace(super().forward(images), depths=(super().forward(images).depth[:, 0],))
+
+
 class ZeroDepth(NanDepth):
     bad = 0.0
 
@@ -223,6 +231,7 @@ def register() -> None:
         ("pose", "TinyWithPose"),
         ("nan", "NanDepth"),
         ("zero", "ZeroDepth"),
+        ("flat", "WrongShape"),
         ("fussy", "Fussy"),
     ):
         register_depth(f"test/{name}", f"{home}:{cls}", override=True)

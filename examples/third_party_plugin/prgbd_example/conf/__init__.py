@@ -1,0 +1,1 @@
+"""YAML of the example; its folders are Hydra groups."""
