@@ -26,6 +26,8 @@ from rich.text import Text
 
 log = logging.getLogger("prgbd")
 _PLAIN_INTERVAL = 30.0  # seconds between progress lines where there is no terminal
+_SHORT = {"keyframes": "kf", "points": "pts"}  # on narrow terminals
+_COLOURS = {"ok": "green", "lost": "red", "finishing": "cyan"}
 _CHATTERERS = ("lightning", "lightning.pytorch", "lightning.fabric", "pytorch_lightning", "numba", "matplotlib", "PIL")
 
 
@@ -46,7 +48,7 @@ class _Bar:
 
     def advance(self, units: int = 1, **fields: Any) -> None:
         self.done += units
-        self._progress.update(self._task, advance=units, note=_noted(fields))
+        self._progress.update(self._task, advance=units, note=_noted(fields, narrow=self._progress.console.width < 100))
 
 
 class _Lines:
@@ -64,9 +66,8 @@ class _Lines:
             self._last = now
             rate = self.done / (now - self._begin)
             left = (self._total - self.done) / rate
-            self._display.say(
-                f"{self._title}: {self.done}/{self._total}, {rate:.1f}/s, {left:.0f} s left {_noted(fields)}".rstrip()
-            )
+            parts = [f"{self.done}/{self._total}", f"{rate:.1f}/s", f"{_clock(left)} left", *_notes(fields)]
+            self._display.say(f"{self._title}: {', '.join(parts)}")
 
 
 class Display:
@@ -100,7 +101,7 @@ class Display:
         if self.bars:
             columns = (
                 TextColumn("{task.description}"),
-                BarColumn(bar_width=24),
+                BarColumn(bar_width=24 if self.console.width >= 100 else 10),
                 MofNCompleteColumn(),
                 _Rate(),
                 TimeRemainingColumn(compact=True),
@@ -179,5 +180,31 @@ def quiet() -> None:
         warnings.filterwarnings("ignore", message=message)
 
 
-def _noted(fields: Mapping[str, Any]) -> str:
-    return "  ".join(f"{key} {value}" for key, value in fields.items())
+def _notes(fields: Mapping[str, Any], *, narrow: bool = False) -> list[str]:
+    """Say each field in as few words as people need: ``ok``, ``42 keyframes``, ``loss 0.0312``."""
+    notes = []
+    for key, value in fields.items():
+        if key == "state":
+            notes.append(str(value))
+        elif isinstance(value, int) and not isinstance(value, bool):
+            word = _SHORT.get(key, key) if narrow else key
+            notes.append(f"{value:,} {word.removesuffix('s') if value == 1 else word}")
+        else:
+            notes.append(f"{key} {value}")
+    return notes
+
+
+def _noted(fields: Mapping[str, Any], *, narrow: bool) -> str:
+    """The fields as rich markup; the state of tracking in a colour."""
+    notes = [escape(note) for note in _notes(fields, narrow=narrow)]
+    if "state" in fields:
+        at = list(fields).index("state")
+        notes[at] = f"[not dim {_COLOURS.get(str(fields['state']), 'yellow')}]{notes[at]}[/]"
+    return "  ".join(notes)
+
+
+def _clock(seconds: float) -> str:
+    """Return a time as ``0:07``, ``12:34`` or ``1:02:03``."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

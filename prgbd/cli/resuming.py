@@ -13,7 +13,7 @@ from prgbd.cli.arguments import GROUPS, is_multirun, is_true
 from prgbd.core.errors import ConfigError
 from prgbd.loop.store import newest_unfinished, read_config
 
-HARMLESS = ("debug", "progress")
+HARMLESS = ("debug", "progress", "viz")
 OUTPUTS = Path("outputs")
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from prgbd.core.depth import DepthEstimator
     from prgbd.loop.self_improving import LoopSettings
     from prgbd.loop.summary import RunIdentity
+    from prgbd.loop.viewing import ViewerMaker
     from prgbd.training.pretraining_settings import PretrainingSettings
     from prgbd.training.refinement_settings import RefinementSettings
 
@@ -43,6 +44,7 @@ def check_settings(config: Mapping[str, Any]) -> None:
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"seed is {seed!r}; it must be a whole number, 0 or more.")
     loop_settings(config, None)
+    viewer_maker(config)
     device(config)
     _check_cache(config)
     if task == "self_improve":
@@ -229,6 +231,17 @@ def export_formats(config: Mapping[str, Any]) -> tuple[str, ...]:
     from prgbd.core.export import DEFAULT_FORMATS, check_formats
 
     return check_formats(config.get("export", DEFAULT_FORMATS) or ())
+
+
+def viewer_maker(config: Mapping[str, Any]) -> ViewerMaker | None:
+    """Return what makes viewers of SLAM runs, None for ``viz=none``.
+
+    Raises:
+        ConfigError: If the choice is unknown or its package is missing.
+    """
+    from prgbd.loop.viewing import viewer_maker
+
+    return viewer_maker(str(config.get("viz") or "none"))
 
 
 @dataclass(frozen=True)

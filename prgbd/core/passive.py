@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, ContractError
-from prgbd.core.slam import GeometricSLAM, TrackingResult
+from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.core.validation import (
     check_depth_map,
@@ -112,6 +112,10 @@ class CheckedSLAM(GeometricSLAM):
         check_slam_result(result, self._frames, self._who)
         self._camera = None
         return result
+
+    def view(self) -> SlamView | None:
+        """See ``GeometricSLAM.view``."""
+        return self.unwrapped.view()
 
     def close(self) -> None:
         """See ``GeometricSLAM.close``."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import TracebackType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +35,32 @@ class TrackingResult:
         wTc: (4, 4) float64 camera-to-world as known now, or None without a pose.
         inliers: Number of map points that agree with the pose.
         is_keyframe: Whether the frame was made a keyframe.
+        info: What the system likes to say of itself, as in Gymnasium's ``step``. The progress line shows the whole
+            numbers ``keyframes``, ``points`` and ``maps``.
     """
 
     state: TrackingState
     wTc: NDArray[np.float64] | None = None
     inliers: int = 0
     is_keyframe: bool = False
+    info: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SlamView:
+    """What a system knows at the moment, for people who watch.
+
+    Attributes:
+        keyframes: (K, 4, 4) float64 camera-to-world.
+        points: (P, 3) float64 map points in the world.
+        rgb: (P, 3) uint8 their colours.
+        keypoints: (N, 2) float32 pixels of the last frame's keypoints that agree with the map.
+    """
+
+    keyframes: NDArray[np.float64]
+    points: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+    keypoints: NDArray[np.float32]
 
 
 class GeometricSLAM(ABC):
@@ -83,6 +104,10 @@ class GeometricSLAM(ABC):
     @abstractmethod
     def finish(self) -> SlamResult:
         """End the sequence and return all that was found; a map-wide optimisation may run here."""
+
+    def view(self) -> SlamView | None:
+        """Return copies of what is known now, between two calls of ``track``; None if the system does not tell."""
+        return None
 
     def close(self) -> None:  # noqa: B027 - optional to override
         """Free threads, files and memory; safe to call twice."""

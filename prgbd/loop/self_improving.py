@@ -23,6 +23,7 @@ from prgbd.loop.sensing import DepthSensor, weights_fingerprint
 from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
 from prgbd.loop.store import RunStore
 from prgbd.loop.summary import RunIdentity, write_summary, write_truth
+from prgbd.loop.viewing import ViewerMaker
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class SelfImprovingLoop:
         identity: What the run is about, for the summary.
         test_sequences: Recordings that are sensed and evaluated in every loop but not learnt from.
         monitor: Who watches.
+        make_viewer: Makes a viewer for each SLAM run.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class SelfImprovingLoop:
         *,
         test_sequences: list[Sequence] | None = None,
         monitor: Monitor | None = None,
+        make_viewer: ViewerMaker | None = None,
     ) -> None:
         self.estimator = estimator
         self.make_slam = make_slam
@@ -114,6 +117,7 @@ class SelfImprovingLoop:
         self.store = store
         self.identity = identity
         self.monitor = monitor or SilentMonitor()
+        self.make_viewer = make_viewer
 
     @property
     def all_sequences(self) -> list[Sequence]:
@@ -214,7 +218,9 @@ class SelfImprovingLoop:
         statistics = sensor.prepare()
         baseline = self.settings.baseline or statistics.adaptive_baseline
         given = SlamInput(sensor, "rgbd", baseline, statistics)
-        result = run_slam(self.make_slam, sequence, given, seed=self.settings.seed, monitor=self.monitor)
+        recording = self.store.path("viz", f"{loop:02d}-{sequence.name}")
+        viewer = None if self.make_viewer is None else self.make_viewer(sequence, recording)
+        result = run_slam(self.make_slam, sequence, given, seed=self.settings.seed, monitor=self.monitor, viewer=viewer)
         with self.store.new_folder(self.store.loop(loop, "slam", sequence.name)) as folder:
             write_slam_folder(result, folder, self.settings.export, frame=sequence.frame)
         return pose_figures(result, sequence, self.settings.alignment)

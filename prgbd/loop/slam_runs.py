@@ -14,9 +14,12 @@ from prgbd.core.types import Frame, SlamResult
 from prgbd.evaluation.trajectory import evaluate_trajectory
 from prgbd.loop.monitor import Monitor, SilentMonitor
 from prgbd.loop.sensing import DepthStatistics
+from prgbd.loop.viewing import SilentViewer, SlamViewer
 
 # ORB-SLAM2's settings for the Kinect of TUM RGB-D: bf = 40 at f = 525 px (Examples/RGB-D/TUM1.yaml).
 KINECT_BASELINE = 0.08
+# What the progress line shows of a system's ``info``.
+SHOWN = ("keyframes", "points", "maps")
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ def run_slam(
     *,
     seed: int = 0,
     monitor: Monitor | None = None,
+    viewer: SlamViewer | None = None,
 ) -> SlamResult:
     """Run a SLAM system over a sequence.
 
@@ -73,7 +77,8 @@ def run_slam(
         sequence: The recording, for its camera and frame rate.
         given: Frames, mode and baseline.
         seed: Seed of everything random in the system.
-        monitor: Who watches.
+        monitor: Who watches the progress.
+        viewer: Who watches frames and map; it is closed at the end.
 
     Returns:
         The system's result; its ``stats`` also hold ``seconds``, ``fps``, ``baseline`` and the depth's diagnostics.
@@ -82,6 +87,7 @@ def run_slam(
     keyframes = 0
     seconds = 0.0
     with (
+        viewer or SilentViewer() as watching,
         make_slam() as system,
         monitor.stage(f"SLAM on {sequence.name}", len(sequence)) as progress,
     ):
@@ -91,10 +97,14 @@ def run_slam(
             tracked = system.track(frame)
             seconds += time.perf_counter() - begin
             keyframes += tracked.is_keyframe
-            progress.advance(state=tracked.state.value, keyframes=keyframes, inliers=tracked.inliers)
+            watching.tracked(frame, tracked, system)
+            counts = {"keyframes": keyframes} | {k: tracked.info[k] for k in SHOWN if k in tracked.info}
+            progress.advance(state=tracked.state.value, **counts)
+        progress.advance(0, state="finishing")
         begin = time.perf_counter()
         result = system.finish()
         seconds += time.perf_counter() - begin
+        watching.finished(result)
     noted: dict[str, Any] = {
         "seconds": seconds,
         "fps": len(sequence) / max(seconds, 1e-9),

@@ -25,5 +25,6 @@ def run(job: Job) -> None:
         settings.identity(config, parts),
         test_sequences=parts.test_sequences,
         monitor=job.display,
+        make_viewer=settings.viewer_maker(config),
     )
     report(job, loop.run())

@@ -37,6 +37,7 @@ def _on_pseudo_depth(job: Job) -> dict[str, Any]:
         job.store,
         settings.identity(config, parts),
         monitor=job.display,
+        make_viewer=settings.viewer_maker(config),
     )
     return loop.run()
 
@@ -65,7 +66,11 @@ def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
     parts = job.parts
     assert parts.make_slam is not None
     given = sensor_input(sequence, parts.mode, parts.baseline)
-    result = run_slam(parts.make_slam, sequence, given, seed=int(job.config["seed"]), monitor=job.display)
+    make_viewer = settings.viewer_maker(job.config)
+    viewer = None if make_viewer is None else make_viewer(sequence, job.store.path("viz", f"00-{sequence.name}"))
+    result = run_slam(
+        parts.make_slam, sequence, given, seed=int(job.config["seed"]), monitor=job.display, viewer=viewer
+    )
     with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
         write_slam_folder(result, folder, settings.export_formats(job.config), frame=sequence.frame)
     return pose_figures(result, sequence, str(job.config["evaluation"]["alignment"]))
