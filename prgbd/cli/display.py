@@ -26,7 +26,9 @@ from rich.text import Text
 
 log = logging.getLogger("prgbd")
 _PLAIN_INTERVAL = 30.0  # seconds between progress lines where there is no terminal
-_SHORT = {"keyframes": "kf", "points": "pts"}  # on narrow terminals
+_NARROW = 110  # columns; a narrower terminal gets no bar, short words and short titles
+_NARROW_TITLE = 26
+_SHORT = {"keyframes": "kf", "points": "pts"}
 _COLOURS = {"ok": "green", "lost": "red", "finishing": "cyan"}
 _CHATTERERS = ("lightning", "lightning.pytorch", "lightning.fabric", "pytorch_lightning", "numba", "matplotlib", "PIL")
 
@@ -48,7 +50,9 @@ class _Bar:
 
     def advance(self, units: int = 1, **fields: Any) -> None:
         self.done += units
-        self._progress.update(self._task, advance=units, note=_noted(fields, narrow=self._progress.console.width < 100))
+        self._progress.update(
+            self._task, advance=units, note=_noted(fields, narrow=self._progress.console.width < _NARROW)
+        )
 
 
 class _Lines:
@@ -99,16 +103,18 @@ class Display:
         """Show the progress of a stage of ``total`` units; see ``Monitor.stage``."""
         begin = time.monotonic()
         if self.bars:
+            narrow = self.console.width < _NARROW
             columns = (
                 TextColumn("{task.description}"),
-                BarColumn(bar_width=24 if self.console.width >= 100 else 10),
+                *([] if narrow else [BarColumn(bar_width=24)]),
                 MofNCompleteColumn(),
                 _Rate(),
                 TimeRemainingColumn(compact=True),
                 TextColumn("{task.fields[note]}", style="dim"),
             )
             with Progress(*columns, console=self.console, transient=True) as progress:
-                shown: _Bar | _Lines = _Bar(progress, progress.add_task(escape(title), total=total, note=""))
+                label = escape(_shortened(title, _NARROW_TITLE) if narrow else title)
+                shown: _Bar | _Lines = _Bar(progress, progress.add_task(label, total=total, note=""))
                 yield shown
         else:
             shown = _Lines(self, title, total)
@@ -201,6 +207,12 @@ def _noted(fields: Mapping[str, Any], *, narrow: bool) -> str:
         at = list(fields).index("state")
         notes[at] = f"[not dim {_COLOURS.get(str(fields['state']), 'yellow')}]{notes[at]}[/]"
     return "  ".join(notes)
+
+
+def _shortened(title: str, width: int) -> str:
+    """Leave out the middle of a title that is too long; its end tells recordings apart."""
+    keep = width - 1
+    return title if len(title) <= width else f"{title[: keep // 2]}…{title[-(keep - keep // 2) :]}"
 
 
 def _clock(seconds: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,8 +16,9 @@ from prgbd.core.errors import ConfigError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 
-# Recordings stay small: images and depth no wider than this, the map only when it has changed that much.
-_WIDTH = 640
+# Recordings stay small: images no wider than this, the map again only when it has changed by that much.
+_IMAGE_WIDTH = 640
+_DEPTH_WIDTH = 320
 _JPEG_QUALITY = 80
 _MAP_CHANGE = 0.1
 _MAP_FRAMES = 100
@@ -39,14 +41,13 @@ class RerunViewer:
     """
 
     def __init__(self, name: str, camera: PinholeCamera, path: Path | None) -> None:
-        scale = min(1.0, _WIDTH / camera.width)
         self._camera = camera
-        self._small = camera.resized(round(camera.width * scale), round(camera.height * scale))
+        self._small, self._smaller = _narrowed(camera, _IMAGE_WIDTH), _narrowed(camera, _DEPTH_WIDTH)
         self._positions: list[NDArray[np.float64]] = []
         self._keyframes: list[NDArray[np.float64]] = []
         self._points, self._mapped_at = 0, -_MAP_FRAMES
         self._state = ""
-        self._stream = rr.RecordingStream(f"prgbd {name}")
+        self._stream = rr.RecordingStream("prgbd")
         self._stream.set_log_time_enabled(False)
         if path is None:
             try:
@@ -56,18 +57,19 @@ class RerunViewer:
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream.save(str(path), default_blueprint=_blueprint())
+        self._stream.send_recording_name(name)
         self._stream.log("world", rr.ViewCoordinates.RDF, static=True)
-        for entity in ("world/camera/image", "world/camera/depth"):
-            self._stream.log(entity, self._pinhole(), static=True)
+        self._stream.log("world/camera/image", _pinhole(self._small), static=True)
+        self._stream.log("world/camera/depth", _pinhole(self._smaller), static=True)
 
     def tracked(self, frame: Frame, tracked: TrackingResult, system: GeometricSLAM) -> None:
         """See ``SlamViewer.tracked``."""
         log = self._stream.log
         self._stream.set_time("frame", sequence=frame.index)
         self._stream.set_time("time", duration=frame.timestamp)
-        log("world/camera/image", rr.Image(self._resized(frame.image)).compress(jpeg_quality=_JPEG_QUALITY))
+        log("world/camera/image", rr.Image(_resized(frame.image, self._small)).compress(jpeg_quality=_JPEG_QUALITY))
         if frame.depth is not None:
-            log("world/camera/depth", _depth_image(self._resized(frame.depth)))
+            log("world/camera/depth", _depth_image(_resized(frame.depth, self._smaller)))
         self._log_state(frame.index, tracked)
         view = system.view()
         keypoints = np.zeros((0, 2)) if view is None else self._on_small(view.keypoints)
@@ -131,20 +133,26 @@ class RerunViewer:
     def _log_centres(self, centres: NDArray[np.float64]) -> None:
         self._stream.log("world/keyframes", rr.Points3D(centres, colors=_ORANGE, radii=rr.Radius.ui_points(4.0)))
 
-    def _pinhole(self) -> rr.Pinhole:
-        c = self._small
-        return rr.Pinhole(image_from_camera=c.K, width=c.width, height=c.height, camera_xyz=rr.ViewCoordinates.RDF)
-
-    def _resized(self, image: NDArray) -> NDArray:  # type: ignore[type-arg]
-        size = (self._small.width, self._small.height)
-        # Between two depths lies no surface, so depth is not interpolated.
-        how = cv2.INTER_AREA if image.ndim == 3 else cv2.INTER_NEAREST
-        return image if image.shape[1::-1] == size else np.asarray(cv2.resize(image, size, interpolation=how))
-
     def _on_small(self, uv: NDArray[np.float32]) -> NDArray[np.float64]:
         """Pixels of the full image on the smaller one."""
         scale = np.array([self._small.width / self._camera.width, self._small.height / self._camera.height])
         return (uv + 0.5) * scale - 0.5
+
+
+def _narrowed(camera: PinholeCamera, width: int) -> PinholeCamera:
+    scale = min(1.0, width / camera.width)
+    return camera.resized(round(camera.width * scale), round(camera.height * scale))
+
+
+def _pinhole(camera: PinholeCamera) -> rr.Pinhole:
+    axes = rr.ViewCoordinates.RDF
+    return rr.Pinhole(image_from_camera=camera.K, width=camera.width, height=camera.height, camera_xyz=axes)
+
+
+def _resized(image: NDArray[Any], camera: PinholeCamera) -> NDArray[Any]:
+    # Between two depths lies no surface, so depth is not interpolated.
+    how = cv2.INTER_AREA if image.ndim == 3 else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=how))
 
 
 def _depth_image(depth: NDArray[np.float32]) -> rr.EncodedDepthImage:

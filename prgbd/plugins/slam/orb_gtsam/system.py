@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from prgbd.core.errors import ConfigError, ContractError
-from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
+from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
+from prgbd.plugins.slam.orb_gtsam.diagnostics import map_sizes, view_of
 from prgbd.plugins.slam.orb_gtsam.features import OrbExtractor
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.frontend import FrontEnd
@@ -107,9 +109,18 @@ class OrbGtsamSLAM(GeometricSLAM):
             with self._map.lock:
                 current = TrackedFrame(frame.index, frame.timestamp, len(self._frontend.history.states), features)
                 result, handovers = self._frontend.take(current)
+                sizes = map_sizes(self._map)
             for handover in handovers:
                 self._backend.submit(handover.keyframe, local_mapping=handover.local_mapping)
-        return result
+        return replace(result, info=sizes)
+
+    def view(self) -> SlamView | None:
+        """See ``GeometricSLAM.view``."""
+        if not self._ready:
+            return None
+        last, frames = self._frontend.tracker.last, len(self._frontend.history.states)
+        with self._map.lock:
+            return view_of(self._map, last.frame if last is not None and last.frame.ordinal == frames - 1 else None)
 
     def _check(self, frame: Frame) -> None:
         camera = self._rig.camera
