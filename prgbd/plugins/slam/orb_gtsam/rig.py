@@ -15,12 +15,12 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Rig:
     """Camera, baseline and pyramid of one sequence.
 
     Attributes:
-        camera: The pinhole camera, without distortion.
+        camera: The pinhole camera, without distortion; self-calibration replaces it.
         mono: Whether there is no depth.
         baseline: Metres between the (virtual) stereo pair, 0 for mono.
         close_depth: Depths below count as close, metres (or the unit of the depth).

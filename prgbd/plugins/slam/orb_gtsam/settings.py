@@ -71,6 +71,9 @@ class Settings:
         restart_after: Lost frames after which a new map is started; a system with <= ``restart_keyframes`` keyframes
             starts at once.
         restart_keyframes: See ``restart_after``.
+        focal_length_sigma: Relative standard deviation of the camera's focal length. A monocular map that knows it four
+            times better refines it with all poses and points before the last bundle adjustment, and the result names
+            the refined camera. 0 keeps the focal length, as ORB-SLAM2 does.
         full_ba: Whether ``finish`` runs a bundle adjustment over the whole map.
         full_ba_iterations: Its iterations.
         full_ba_backend: "gtsam" or "numba".
@@ -123,6 +126,7 @@ class Settings:
     recovery_keyframes: int = 12
     restart_after: int = 30
     restart_keyframes: int = 5
+    focal_length_sigma: float = 0.01
     full_ba: bool = True
     full_ba_iterations: int = 10
     full_ba_backend: str = "gtsam"

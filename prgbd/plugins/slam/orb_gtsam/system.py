@@ -22,6 +22,7 @@ from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
@@ -140,6 +141,9 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._backend.drain()
         history, stats = self._frontend.history, dict[str, Any]()
         if self.settings.full_ba:
+            if self._rig.mono and self.settings.focal_length_sigma > 0:
+                with self._watch("self_calibration"):
+                    stats["focal_length"] = self_calibrate(self._map, self._rig, self.settings.focal_length_sigma)
             with self._watch("full_ba"):
                 stats["full_ba"] = adjust_map(self._map, self._rig, self.settings, self._backend.mapper)
         stats |= self._backend.statistics()

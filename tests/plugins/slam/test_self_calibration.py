@@ -1,0 +1,106 @@
+"""Self-calibration on maps whose true focal length is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prgbd.core.types import PinholeCamera
+from prgbd.plugins.slam.orb_gtsam.features import Features
+from prgbd.plugins.slam.orb_gtsam.lie import exp_se3, inverse
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.self_calibration import calibrate_focal_length, self_calibrate
+
+POINTS = 300
+SIGMA = 0.01
+
+
+def camera(focal: float) -> PinholeCamera:
+    return PinholeCamera(640, 480, focal, focal, 320.0, 240.0)
+
+
+def made(true: float, given: float, *, turning: bool, keyframes: int = 24) -> tuple[Map, Rig]:
+    """Observe a cloud with the true focal length, and place it with noise."""
+    rng = np.random.default_rng(5)
+    xyz = np.stack([rng.uniform(-6, 6, POINTS), rng.uniform(-3, 3, POINTS), rng.uniform(-6, 6, POINTS)], axis=1)
+    world = Map(POINTS, 1, np.ones(1))
+    rig = Rig(camera(given), True, 0.0, 0.0, np.ones(1), 1)
+    ids = None
+    for k in range(keyframes):
+        # Round the cloud, or straight towards it.
+        angle = 0.06 * k if turning else 0.0
+        distance = 14.0 if turning else 20.0 - 0.3 * k
+        wTc = inverse(exp_se3(np.array([0.0, angle, 0.0, 0.0, 0.0, 0.0])))
+        wTc[:3, 3] = -distance * wTc[:3, 2]
+        cTw = inverse(wTc)
+        uv = camera(true).project(xyz @ cTw[:3, :3].T + cTw[:3, 3]) + rng.normal(0, 0.4, (POINTS, 2))
+        none = np.zeros(POINTS, np.float32)
+        seen = Features(
+            uv.astype(np.float32),
+            np.zeros(POINTS, np.int32),
+            none,
+            np.zeros((POINTS, 4), np.uint64),
+            none,
+            none - 1,
+            np.zeros((POINTS, 3), np.uint8),
+            np.zeros(2, np.int32),
+        )
+        first = np.full(POINTS, -1, np.int64) if ids is None else ids
+        row = world.add_keyframe(k, 0.1 * k, exp_se3(rng.normal(0, 1e-3, 6)) @ cTw, seen, first)
+        if ids is None:
+            ids = world.add_points(row, np.arange(POINTS), xyz + rng.normal(0, 0.02, xyz.shape))
+    return world, rig
+
+
+def length(world: Map) -> float:
+    centre = world.keyframes.centre[: world.keyframes.count]
+    return float(np.linalg.norm(np.diff(centre, axis=0), axis=1).sum())
+
+
+@pytest.mark.parametrize("given", [490.0, 500.0, 508.0])
+def test_a_turning_camera_finds_its_focal_length(given: float) -> None:
+    world, rig = made(500.0, given, turning=True)
+    before = length(world)
+    found = calibrate_focal_length(world, rig, 0, SIGMA)
+    assert found is not None
+    assert rig.camera.fx == pytest.approx(500.0, rel=2e-3)
+    assert rig.camera.fy == rig.camera.fx
+    assert found.factor == pytest.approx(500.0 / given, rel=2e-3)
+    assert abs(rig.camera.fx / 500.0 - 1.0) < 4.0 * found.deviation
+    assert length(world) == pytest.approx(before, rel=1e-6)
+
+
+def test_the_map_fits_its_observations_afterwards() -> None:
+    world, rig = made(500.0, 490.0, turning=True)
+    assert calibrate_focal_length(world, rig, 0, SIGMA) is not None
+    kf, pts = world.keyframes, world.points
+    errors = []
+    for k in range(kf.count):
+        cTw = kf.cTw[k]
+        p = pts.xyz[kf.point[k]] @ cTw[:3, :3].T + cTw[:3, 3]
+        errors.append(rig.camera.project(p) - kf.uv[k])
+    assert float(np.sqrt(np.mean(np.square(errors)))) < 0.45
+
+
+def test_motion_straight_ahead_says_nothing_and_changes_nothing() -> None:
+    world, rig = made(500.0, 490.0, turning=False)
+    poses, points = world.keyframes.cTw.copy(), world.points.xyz.copy()
+    assert self_calibrate(world, rig, SIGMA) == {"refined": False}
+    assert rig.camera.fx == 490.0
+    assert np.array_equal(world.keyframes.cTw, poses)
+    assert np.array_equal(world.points.xyz, points)
+
+
+def test_the_largest_map_decides() -> None:
+    world, rig = made(500.0, 495.0, turning=True)
+    world.keyframes.map_id[:20] = 1
+    found = self_calibrate(world, rig, SIGMA)
+    assert found["refined"]
+    assert found["factor"] == pytest.approx(500.0 / 495.0, rel=3e-3)
+
+
+def test_few_keyframes_are_not_asked() -> None:
+    world, rig = made(500.0, 490.0, turning=True, keyframes=6)
+    assert calibrate_focal_length(world, rig, 0, SIGMA) is None
+    assert rig.camera.fx == 490.0
