@@ -147,6 +147,15 @@ def main(arguments: list[str]) -> int:
         picture = Path(chosen.get("png", f"{sequence.name.replace('/', '_')}_trajectory.png"))
         draw(picture, truth, estimate, f"{title}: ATE {rmse:.3f} m, {result.tracked_frames}/{result.frames} tracked")
         print(f"  picture         {picture}")
+    for loop in result.stats.get("loops", []):
+        where = ""
+        if sequence.poses is not None:
+            ends = sequence.poses[[loop["frame"], loop["loop_frame"]], :3, 3]
+            where = f", truly {np.linalg.norm(ends[0] - ends[1]):.1f} m apart"
+        print(
+            f"  {loop['kind']:<15} frame {loop['frame']} at frame {loop['loop_frame']}{where}: {loop['inliers']} "
+            f"inliers, scale {loop['scale']:.3f}, {loop['ms']:.0f} ms"
+        )
     for stage, times in result.stats.get("stages_ms", {}).items():
         print(f"  {stage:<18}{times['median']:8.1f} ms median {times['max']:8.1f} max {times['runs']:6d} runs")
     return 0

@@ -140,4 +140,5 @@ class FrontEnd:
 
     def _place(self, index: int, timestamp: float, reference: int, cTw: NDArray[np.float64]) -> None:
         cTref = cTw @ inverse(self.world.keyframes.cTw[reference])
-        self.history.place(index, timestamp, reference, cTref, inverse(cTw))
+        scale = float(self.world.keyframes.scale[reference])
+        self.history.place(index, timestamp, reference, cTref, inverse(cTw), scale)

@@ -2,55 +2,80 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from prgbd.plugins.slam.orb_gtsam.full_bundle_adjustment import full_bundle_adjustment
+from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.map_correction import Correction, apply
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.rig import Rig, measurements
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 
-def adjust_map(world: Map, rig: Rig, settings: Settings, mapper: LocalMapper) -> dict[str, Any]:
+def adjust_map(
+    world: Map,
+    rig: Rig,
+    settings: Settings,
+    mapper: LocalMapper,
+    *,
+    only: int | None = None,
+    backend: Literal["gtsam", "numba"] | None = None,
+) -> dict[str, Any]:
     """Adjust every map by itself; return what was done, for the statistics.
 
     Keyframes and points move, outliers lose their observation. A map with too many keyframes is left as it is.
+
+    Args:
+        world: The map.
+        rig: The camera.
+        settings: Thresholds.
+        mapper: Removes observations.
+        only: The one map to adjust.
+        backend: Solver in place of ``full_ba_backend``.
     """
     kf, pts = world.keyframes, world.points
+    chosen: Literal["gtsam", "numba"] = backend or ("numba" if settings.full_ba_backend == "numba" else "gtsam")
     notes: list[dict[str, Any]] = []
-    for map_id in range(world.current_map + 1):
+    for map_id in world.map_ids() if only is None else [only]:
         keyframes = np.flatnonzero(~kf.bad[: kf.count] & (kf.map_id[: kf.count] == map_id))
         if len(keyframes) < 2:
             continue
         if len(keyframes) > settings.full_ba_keyframes:
             notes.append({"map": map_id, "keyframes": len(keyframes), "skipped": "more than full_ba_keyframes"})
             continue
-        points = world.seen_by(keyframes)
-        seen = world.observations(points)
-        at, row = seen[:, 0], seen[:, 1]
-        column = np.full(kf.count, -1, np.int64)
-        column[keyframes] = np.arange(len(keyframes))
-        fixed = np.zeros(len(keyframes), np.bool_)
-        # A monocular map has no scale of its own: a second fixed pose keeps it.
-        fixed[: 2 if rig.mono else 1] = True
+        with world.lock:
+            points = world.seen_by(keyframes)
+            seen = world.observations(points)
+            column = np.full(kf.count, -1, np.int64)
+            column[keyframes] = np.arange(len(keyframes))
+            seen = seen[column[seen[:, 0]] >= 0]
+            at, row = seen[:, 0], seen[:, 1]
+            fixed = np.zeros(len(keyframes), np.bool_)
+            # A monocular map has no scale of its own: a second fixed pose keeps it.
+            fixed[: 2 if rig.mono else 1] = True
+            problem = (
+                kf.cTw[keyframes],
+                fixed,
+                pts.xyz[points],
+                column[at],
+                np.ascontiguousarray(seen[:, 2]),
+                measurements(kf.uv[at, row], kf.u_right[at, row]),
+                rig.inverse_variance[kf.octave[at, row]],
+                *rig.intrinsics,
+            )
         result = full_bundle_adjustment(
-            kf.cTw[keyframes],
-            fixed,
-            pts.xyz[points],
-            column[at],
-            np.ascontiguousarray(seen[:, 2]),
-            measurements(kf.uv[at, row], kf.u_right[at, row]),
-            rig.inverse_variance[kf.octave[at, row]],
-            *rig.intrinsics,
+            *problem,
             iterations=settings.full_ba_iterations,
-            backend="numba" if settings.full_ba_backend == "numba" else "gtsam",
+            backend=chosen,
         )
-        for k, cTw in zip(keyframes.tolist(), result.cTw, strict=True):
-            world.set_pose(k, cTw)
-        pts.xyz[points] = result.xyz
-        mapper.drop_observations(seen[~result.inlier])
+        with world.lock:
+            apply(world, int(keyframes[-1]), Correction(keyframes, inverse(result.cTw), np.ones(len(keyframes))))
+            pts.xyz[points] = result.xyz
+            mapper.drop_observations(seen[~result.inlier])
+            world.refresh(points[~pts.bad[points]])
         notes.append(
             {
                 "map": map_id,
@@ -62,4 +87,4 @@ def adjust_map(world: Map, rig: Rig, settings: Settings, mapper: LocalMapper) ->
                 "final_cost": float(result.final_cost),
             }
         )
-    return {"backend": settings.full_ba_backend, "maps": notes}
+    return {"backend": chosen, "maps": notes}

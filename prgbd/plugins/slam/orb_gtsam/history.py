@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,25 @@ from prgbd.plugins.slam.orb_gtsam.rig import Rig
 FloatArray = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class _Row:
+    """A frame, its pose relative to a keyframe in the units that the map had then, and its pose as known then."""
+
+    frame_index: int
+    timestamp: float
+    reference: int
+    cTref: FloatArray
+    scale: float
+    wTc: FloatArray
+
+
 class History:
     """Remembers each frame relative to its reference keyframe, so that it moves with it."""
 
     def __init__(self) -> None:
         self.states: list[str] = []
         self.inliers: list[int] = []
-        self._rows: list[tuple[int, float, int, FloatArray, FloatArray]] = []
+        self._rows: list[_Row] = []
 
     def add(self, state: TrackingState, inliers: int) -> None:
         """Count a frame."""
@@ -33,30 +46,45 @@ class History:
         """Say anew what became of frame number ``ordinal``."""
         self.states[ordinal], self.inliers[ordinal] = state.value, inliers
 
-    def place(self, frame_index: int, timestamp: float, reference: int, cTref: FloatArray, wTc: FloatArray) -> None:
-        """Store the pose of a frame relative to keyframe ``reference``, and as it is known now."""
-        self._rows.append((frame_index, timestamp, reference, cTref, wTc))
+    def place(
+        self,
+        frame_index: int,
+        timestamp: float,
+        reference: int,
+        cTref: FloatArray,
+        wTc: FloatArray,
+        scale: float = 1.0,
+    ) -> None:
+        """Store the pose of a frame relative to keyframe ``reference`` of that ``scale``, and as it is known now."""
+        self._rows.append(_Row(frame_index, timestamp, reference, cTref, scale, wTc))
 
     def trajectory(self, world: Map) -> Trajectory:
         """Return the poses of all placed frames, corrected with their keyframes."""
         if not self._rows:
             return Trajectory.empty()
-        poses = np.stack([cTref @ world.pose_of(reference) for _, _, reference, cTref, _ in self._rows])
-        return self._trajectory(inverse(poses))
+        poses = []
+        for row in self._rows:
+            cTref = row.cTref.copy()
+            cTref[:3, 3] *= world.keyframes.scale[row.reference] / row.scale
+            poses.append(cTref @ world.pose_of(row.reference))
+        return self._trajectory(inverse(np.stack(poses)))
 
     def online(self) -> Trajectory:
         """Return the poses as they were known when the frames came."""
-        return self._trajectory(np.stack([row[4] for row in self._rows])) if self._rows else Trajectory.empty()
+        return self._trajectory(np.stack([row.wTc for row in self._rows])) if self._rows else Trajectory.empty()
 
     def _trajectory(self, wTc: FloatArray) -> Trajectory:
         return Trajectory(
-            np.array([row[0] for row in self._rows], np.int64), np.array([row[1] for row in self._rows]), wTc
+            np.array([row.frame_index for row in self._rows], np.int64),
+            np.array([row.timestamp for row in self._rows]),
+            wTc,
         )
 
     def result(self, world: Map, rig: Rig, stats: dict[str, Any]) -> SlamResult:
         """Return everything in the contract's columns."""
         kf, pts = world.keyframes, world.points
         alive = np.flatnonzero(~kf.bad[: kf.count])
+        maps = np.unique(kf.map_id[alive], return_inverse=True)[1].astype(np.int32)
         row_of = np.full(kf.count, -1, np.int64)
         row_of[alive] = np.arange(len(alive))
         points = np.flatnonzero(~pts.bad[: pts.count] & (pts.head[: pts.count] >= 0))
@@ -68,7 +96,9 @@ class History:
             mode="mono" if rig.mono else "rgbd",
             frames=len(self.states),
             trajectory=self.trajectory(world),
-            keyframes=Keyframes(kf.frame_index[alive], kf.timestamp[alive], inverse(kf.cTw[alive]), kf.map_id[alive]),
+            keyframes=Keyframes(
+                kf.frame_index[alive], kf.timestamp[alive], inverse(kf.cTw[alive]), maps.astype(np.int32)
+            ),
             points=MapPoints(pts.xyz[points], pts.rgb[points]),
             observations=Observations(
                 row_of[at], np.ascontiguousarray(point), kf.uv[at, keypoint], kf.depth[at, keypoint]

@@ -38,7 +38,11 @@ class Columns:
 
 
 class KeyframeColumns(Columns):
-    """Keyframes; rows of culled ones stay, marked ``bad``, with their pose relative to ``parent``."""
+    """Keyframes; rows of culled ones stay, marked ``bad``, with their pose relative to ``parent``.
+
+    ``scale`` is the product of all scales by which loops changed the map around a keyframe: lengths that were noted
+    at one time are multiplied by the quotient of its value now and then.
+    """
 
     cTw: FloatArray
     centre: FloatArray
@@ -60,6 +64,7 @@ class KeyframeColumns(Columns):
     point: IntArray
     following: IntArray
     median_depth: FloatArray
+    scale: FloatArray
 
     def __init__(self, capacity: int, cells: int) -> None:
         super().__init__(
@@ -83,6 +88,7 @@ class KeyframeColumns(Columns):
             point=((capacity,), np.int64, -1),
             following=((capacity,), np.int64, -1),
             median_depth=((), np.float64, 0),
+            scale=((), np.float64, 1),
         )
 
 
@@ -187,6 +193,29 @@ class Map:
         kf = self.keyframes
         chosen = self.current_map if map_id is None else map_id
         return np.flatnonzero(~kf.bad[: kf.count] & (kf.map_id[: kf.count] == chosen))
+
+    def map_ids(self) -> list[int]:
+        """Return the numbers of the maps that have keyframes."""
+        kf = self.keyframes
+        return [int(n) for n in np.unique(kf.map_id[: kf.count][~kf.bad[: kf.count]])]
+
+    def join(self, a: int, b: int) -> None:
+        """Make one map of two; it has the later one's number, so that the current map stays current."""
+        ids = self.keyframes.map_id[: self.keyframes.count]
+        ids[ids == min(a, b)] = max(a, b)
+
+    def rescale(self, map_id: int, scale: FloatArray) -> None:
+        """Note that the map changed its units around every keyframe, and give culled ones the units of their place.
+
+        Args:
+            map_id: The map.
+            scale: (K,) new units per old one, of every keyframe; culled ones are ignored.
+        """
+        kf = self.keyframes
+        for k in np.flatnonzero(kf.map_id[: kf.count] == map_id).tolist():
+            s = float(scale[self.successor(k)])
+            kf.scale[k] *= s
+            kf.cTparent[k, :3, 3] *= s
 
     def covisible(self, k: int, least: int) -> tuple[IntArray, IntArray]:
         """Return the keyframes that share at least ``least`` points with ``k``, most first, and how many.

@@ -71,6 +71,16 @@ class Settings:
         restart_after: Lost frames after which a new map is started; a system with <= ``restart_keyframes`` keyframes
             starts at once.
         restart_keyframes: See ``restart_after``.
+        loop_closing: Whether loops are closed and maps of one place joined.
+        loop_scale: Whether a loop corrects scale: "free", "fixed", or "auto": free in mono; where depth is measured
+            fixed, and free (0.5 to 2) where the depth proves to have drifted in scale, as a network's can.
+        loop_min_interval: Keyframes between two loops, and between the two ends of one.
+        loop_consistency: Keyframes in a row that must propose the same place.
+        loop_ratio: Ratio test between the keyframes of a loop.
+        loop_min_inliers: Inliers that the similarity between the two keyframes needs.
+        loop_min_matches: Points around the loop keyframe that must be found in the new one.
+        essential_weight: Common points that make an edge of the essential graph.
+        loop_ba: Whether a loop is followed by a bundle adjustment of its map (numba; up to ``full_ba_keyframes``).
         focal_length_sigma: Relative standard deviation of the camera's focal length. A monocular map that knows it four
             times better refines it with all poses and points before the last bundle adjustment, and the result names
             the refined camera. 0 keeps the focal length, as ORB-SLAM2 does.
@@ -126,6 +136,15 @@ class Settings:
     recovery_keyframes: int = 12
     restart_after: int = 30
     restart_keyframes: int = 5
+    loop_closing: bool = True
+    loop_scale: str = "auto"
+    loop_min_interval: int = 10
+    loop_consistency: int = 3
+    loop_ratio: float = 0.75
+    loop_min_inliers: int = 20
+    loop_min_matches: int = 40
+    essential_weight: int = 100
+    loop_ba: bool = True
     focal_length_sigma: float = 0.01
     full_ba: bool = True
     full_ba_iterations: int = 10
@@ -147,6 +166,8 @@ class Settings:
                 "slam.fast_threshold_low must be positive and at most slam.fast_threshold (< 255), got "
                 f"{self.fast_threshold_low} and {self.fast_threshold}."
             )
+        if self.loop_scale not in ("auto", "free", "fixed"):
+            raise ConfigError(f"slam.loop_scale must be 'auto', 'free' or 'fixed', got {self.loop_scale!r}.")
         if self.full_ba_backend not in ("gtsam", "numba"):
             raise ConfigError(f"slam.full_ba_backend must be 'gtsam' or 'numba', got {self.full_ba_backend!r}.")
 

@@ -20,7 +20,9 @@ from prgbd.plugins.slam.orb_gtsam.global_adjustment import adjust_map
 from prgbd.plugins.slam.orb_gtsam.initialisation import DepthStarter, Starter
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.loop_closing import LoopCloser
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -86,6 +88,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._watch = Stopwatch()
         mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
         self._backend = MappingBackend(mapper, self._watch)
+        self._loops = self._close_loops(mapper, PlaceIndex(seed=seed), seed)
         least = settings.keypoints_to_start(camera.width, camera.height)
         starter: Starter = (
             TwoViewStarter(settings, self._rig, mapper, least, seed) if self._rig.mono else DepthStarter(mapper, least)
@@ -135,6 +138,20 @@ class OrbGtsamSLAM(GeometricSLAM):
             found = None if frame.depth is None else frame.depth.shape
             raise ContractError(f"Frame {frame.index} has depth {found}, but mode 'rgbd' needs {shape}; use 'mono'.")
 
+    def _close_loops(self, mapper: LocalMapper, places: PlaceIndex, seed: int) -> LoopCloser:
+        """Make the loop closer, and have it see every keyframe that was mapped unless it is switched off."""
+        closer = LoopCloser(self.settings, self._rig, self._map, self._near, mapper, places, seed)
+
+        def look(k: int) -> None:
+            with self._watch("loop_closing"):
+                closer.process(k)
+                places.add(k, self._map.features(k).descriptor)
+
+        if self.settings.loop_closing:
+            self._backend.after_keyframe.append(look)
+            mapper.after_culling.append(places.remove)
+        return closer
+
     def finish(self) -> SlamResult:
         """End the sequence; see ``GeometricSLAM.finish``."""
         self._require_ready()
@@ -147,8 +164,9 @@ class OrbGtsamSLAM(GeometricSLAM):
             with self._watch("full_ba"):
                 stats["full_ba"] = adjust_map(self._map, self._rig, self.settings, self._backend.mapper)
         stats |= self._backend.statistics()
+        stats["loops"] = self._loops.loops
         stats["stages_ms"] = self._watch.statistics()
-        stats["maps"] = self._map.current_map + 1
+        stats["maps"] = len(self._map.map_ids())
         stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
         stats["depth_ratio"] = [None if np.isnan(r) else round(r, 4) for r in self._frontend.depth_ratios]
         stats["baseline"] = self._rig.baseline

@@ -24,11 +24,12 @@ _FACTOR_AFTER_RECOVERY = 5.0
 
 @dataclass
 class LastFrame:
-    """What tracking keeps of the previous frame."""
+    """What tracking keeps of the previous frame: itself, and its pose relative to a keyframe of that scale."""
 
     frame: TrackedFrame
     reference: int
     cTref: FloatArray
+    scale: float
 
 
 class Tracker:
@@ -51,7 +52,18 @@ class Tracker:
     def last_pose(self) -> FloatArray:
         """Return the pose of the last tracked frame, corrected with its reference keyframe."""
         assert self.last is not None
-        return self.last.cTref @ self.world.pose_of(self.last.reference)
+        return self._in_present_units(self.last.cTref) @ self.world.pose_of(self.last.reference)
+
+    def predicted(self) -> FloatArray | None:
+        """Return the pose that the last motion leads to, or None if it is not known."""
+        return None if self.velocity is None else self._in_present_units(self.velocity) @ self.last_pose()
+
+    def _in_present_units(self, motion: FloatArray) -> FloatArray:
+        """Return a motion of the time of the last frame in the units that the map has there now."""
+        assert self.last is not None
+        out: FloatArray = motion.copy()
+        out[:3, 3] *= self.world.keyframes.scale[self.last.reference] / self.last.scale
+        return out
 
     def track(self, frame: TrackedFrame) -> int:
         """Find the pose of a frame; return its inliers, 0 if it is lost."""
@@ -71,7 +83,7 @@ class Tracker:
         """Keep ``frame`` relative to the reference keyframe, as the previous frame."""
         self.reference = self.world.successor(self.reference)
         cTref = frame.cTw @ inverse(self.world.keyframes.cTw[self.reference])
-        self.last = LastFrame(frame, self.reference, cTref)
+        self.last = LastFrame(frame, self.reference, cTref, float(self.world.keyframes.scale[self.reference]))
 
     def from_local_map(self, frame: TrackedFrame, least: int) -> int:
         """Match the local map, optimise and judge; return the inliers, 0 if there are fewer than ``least``."""
@@ -91,10 +103,8 @@ class Tracker:
         return inliers if inliers >= least else 0
 
     def _from_motion(self, frame: TrackedFrame) -> bool:
-        assert self.last is not None
-        assert self.velocity is not None
-        before = self.last_pose()
-        guess = self.velocity @ before
+        before, guess = self.last_pose(), self.predicted()
+        assert guess is not None
         for width in (1.0, 2.0):
             matches = self._match_last(frame, guess, before, width * self.settings.window_motion)
             if matches >= self.settings.min_matches_motion:
@@ -163,10 +173,8 @@ class Tracker:
 
     def _from_wide_search(self, frame: TrackedFrame) -> bool:
         """Match the local map of the previous frame in wide windows around predicted and previous pose."""
-        assert self.last is not None
         world, settings = self.world, self.settings
-        before = self.last_pose()
-        guesses = [before] if self.velocity is None else [self.velocity @ before, before]
+        guesses = [guess for guess in (self.predicted(), self.last_pose()) if guess is not None]
         points = world.seen_by(np.append(self.near.of(self.reference)[:10], self.reference))
         for guess in guesses:
             frame.clear()

@@ -1,0 +1,110 @@
+"""Loop closing and the merging of maps."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+from prgbd.plugins.slam.orb_gtsam.global_adjustment import adjust_map
+from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
+from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.loop_correction import fuse, move_map, solve_loop
+from prgbd.plugins.slam.orb_gtsam.loop_detection import LoopDetector, Places
+from prgbd.plugins.slam.orb_gtsam.loop_verification import Loop, LoopVerifier
+from prgbd.plugins.slam.orb_gtsam.map_correction import apply
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+log = logging.getLogger(__name__)
+
+
+class LoopCloser:
+    """Notices when a keyframe shows a known place, and makes the map agree: a loop, or another map to join.
+
+    Args:
+        settings: Thresholds.
+        rig: The camera.
+        world: The map.
+        near: Covisible keyframes.
+        mapper: Adjusts the map.
+        places: Finds keyframes by appearance; whoever adds keyframes to the map adds them there.
+        seed: Seed of RANSAC.
+
+    Attributes:
+        loops: What was closed, for the statistics.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        rig: Rig,
+        world: Map,
+        near: Neighbourhoods,
+        mapper: LocalMapper,
+        places: Places,
+        seed: int = 0,
+    ) -> None:
+        self.settings, self.rig, self.world, self.near, self.mapper = settings, rig, world, near, mapper
+        self.loops: list[dict[str, Any]] = []
+        self._detector = LoopDetector(world, near, places, settings.loop_consistency, settings.loop_min_interval)
+        self._verifier = LoopVerifier(world, rig, near, settings, seed)
+        self._closed: list[tuple[int, int]] = []
+        self._last = -settings.loop_min_interval
+
+    def process(self, k: int) -> bool:
+        """Look whether keyframe ``k``, already mapped, closes a loop; close it. Returns whether the map changed."""
+        kf = self.world.keyframes
+        if kf.bad[k] or k - self._last < self.settings.loop_min_interval:
+            return False
+        start = time.perf_counter()
+        with self.world.lock:
+            loop = self._find(k)
+        if loop is None:
+            return False
+        other = int(kf.map_id[loop.candidate])
+        merge = other != kf.map_id[k]
+        note = {
+            "keyframe": k,
+            "frame": int(kf.frame_index[k]),
+            "loop_frame": int(kf.frame_index[loop.candidate]),
+            "inliers": len(loop.rows),
+            "scale": loop.scale,
+            "kind": "merge" if merge else "loop",
+        }
+        self._close(loop, merge)
+        self._last = k
+        self._detector.forget()
+        note["ms"] = 1000.0 * (time.perf_counter() - start)
+        self.loops.append(note)
+        log.info(
+            "Frame %d: %s with frame %d (scale %.3f).", note["frame"], note["kind"], note["loop_frame"], loop.scale
+        )
+        return True
+
+    def _find(self, k: int) -> Loop | None:
+        for candidate in self._detector.propose(k):
+            loop = self._verifier.verify(k, candidate)
+            if loop is not None:
+                return loop
+        return None
+
+    def _close(self, loop: Loop, merge: bool) -> None:
+        world, kf = self.world, self.world.keyframes
+        # Only the mapper's side moves keyframes, so the graph may be solved while the tracker goes on.
+        correction = (
+            move_map(world, loop) if merge else solve_loop(world, loop, self._closed, self.settings.essential_weight)
+        )
+        with world.lock:
+            apply(world, loop.k, correction)
+            if merge:
+                world.join(int(kf.map_id[loop.k]), int(kf.map_id[loop.candidate]))
+            fuse(world, self.rig, self.settings, self.near, loop)
+        self._closed.append((loop.k, loop.candidate))
+        if self.settings.local_ba:
+            self.mapper.adjust(loop.k)
+        if self.settings.loop_ba:
+            adjust_map(world, self.rig, self.settings, self.mapper, only=int(kf.map_id[loop.k]), backend="numba")
+        with world.lock:
+            self.near.clear()

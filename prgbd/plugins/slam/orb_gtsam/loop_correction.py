@@ -1,0 +1,119 @@
+"""What a loop does to the map: poses by the essential graph, points with them, and duplicates fused."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.fusion import fuse_into
+from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
+from prgbd.plugins.slam.orb_gtsam.loop_verification import Loop, relative_pose
+from prgbd.plugins.slam.orb_gtsam.map_correction import Correction
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.pose_graph import optimise_pose_graph
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+# Standard deviations of an edge between neighbours: radians, share of its length, log of scale. They tell how the
+# correction is shared between turning, moving and scaling; drift grows with the square root of the edges.
+_EDGE_SIGMAS = (0.01, 0.05, 0.03)
+# The same of a loop edge, which many points measured at once; its length is that of a typical edge.
+_LOOP_SIGMAS = (0.002, 0.02, 0.005)
+# Neighbours on either side of a loop whose points are fused.
+_FUSED = 20
+
+
+def essential_edges(world: Map, keyframes: IntArray, weight: int) -> tuple[IntArray, IntArray]:
+    """Return the edges of the essential graph: spanning tree and strong covisibility, later to earlier keyframe.
+
+    Each keyframe hangs on the earlier one with which it shares most points, or else on the one before it.
+    """
+    later: list[int] = []
+    earlier: list[int] = []
+    for position, k in enumerate(keyframes.tolist()):
+        if position == 0:
+            continue
+        before = keyframes[:position]
+        shared = world.common(world.points_of(k))[before]
+        parent = int(before[len(before) - 1 - int(np.argmax(shared[::-1]))])
+        joined = dict.fromkeys([parent, *before[shared >= weight].tolist()])
+        later.extend([k] * len(joined))
+        earlier.extend(joined)
+    return np.array(later, np.int64), np.array(earlier, np.int64)
+
+
+def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int) -> Correction:
+    """Spread the error that a loop shows over its map by the essential graph; the map stays as it is.
+
+    Args:
+        world: The map.
+        loop: The loop, within one map.
+        earlier_loops: Pairs of keyframes that earlier loops joined.
+        weight: Common points of a strong edge.
+    """
+    kf = world.keyframes
+    keyframes = world.alive(int(kf.map_id[loop.k]))
+    column = np.full(kf.count, -1, np.int64)
+    column[keyframes] = np.arange(len(keyframes))
+    j, i = essential_edges(world, keyframes, weight)
+    kept = np.array([[world.successor(n) for n in pair] for pair in earlier_loops], np.int64).reshape(-1, 2)
+    kept = kept[kept[:, 0] != kept[:, 1]]
+    i, j = np.concatenate([i, kept[:, 1]]), np.concatenate([j, kept[:, 0]])
+    wTc = inverse(kf.cTw[keyframes])
+    i, j = column[i], column[j]
+    iTj = inverse(wTc[i]) @ wTc[j]
+    length = np.linalg.norm(iTj[:, :3, 3], axis=1)
+    typical = float(np.median(length)) + 1e-9
+    sigmas = np.concatenate(
+        [_sigmas(np.maximum(length, typical), _EDGE_SIGMAS), _sigmas(np.array([typical]), _LOOP_SIGMAS)]
+    )
+    poses, scale = optimise_pose_graph(
+        wTc,
+        np.append(i, column[loop.candidate]),
+        np.append(j, column[loop.k]),
+        np.concatenate([iTj, relative_pose(loop, world)[None]]),
+        sigmas if loop.free_scale else np.ascontiguousarray(sigmas[:, :6]),
+        scales=np.append(np.ones(len(i)), 1.0 / loop.scale) if loop.free_scale else None,
+    )
+    return Correction(keyframes, poses, scale)
+
+
+def _sigmas(length: FloatArray, sigmas: tuple[float, float, float]) -> FloatArray:
+    out = np.empty((len(length), 7))
+    out[:, :3], out[:, 3:6], out[:, 6] = sigmas[0], sigmas[1] * length[:, None], sigmas[2]
+    return out
+
+
+def move_map(world: Map, loop: Loop) -> Correction:
+    """Return the poses that bring the map of ``loop.k`` as a whole to where the loop's candidate is."""
+    kf = world.keyframes
+    keyframes = world.alive(int(kf.map_id[loop.k]))
+    relative = kf.cTw[loop.k] @ inverse(kf.cTw[keyframes])
+    relative[:, :3, 3] /= loop.scale
+    return Correction(keyframes, inverse(loop.cTw) @ relative, np.full(len(keyframes), 1.0 / loop.scale))
+
+
+def fuse(world: Map, rig: Rig, settings: Settings, near: Neighbourhoods, loop: Loop) -> None:
+    """Let both sides of a loop, now in one place, see the same points; the caller holds ``Map.lock``."""
+    pts = world.points
+    own = world.points_of(loop.k)
+    for row, point in zip(loop.rows.tolist(), world.current(loop.points).tolist(), strict=True):
+        if point < 0 or pts.bad[point] or own[row] == point:
+            continue
+        if own[row] >= 0:
+            world.merge(int(own[row]), point)
+        else:
+            world.observe(loop.k, np.array([row]), np.array([point]))
+    ours = np.append(loop.k, near.of(loop.k)[:_FUSED])
+    theirs = np.append(loop.candidate, near.of(loop.candidate)[:_FUSED])
+    ours, theirs = np.setdiff1d(ours, theirs), np.setdiff1d(theirs, ours)
+    for targets, sources in ((ours, theirs), (theirs, ours)):
+        for target in targets.tolist():
+            fuse_into(world, rig, settings, target, world.seen_by(sources))
+    points = world.seen_by(np.concatenate([ours, theirs]))
+    world.refresh(points)
+    near.clear()

@@ -1,0 +1,56 @@
+"""Moving a map: keyframes to new poses and units, and everything that hangs on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """New poses of keyframes.
+
+    Attributes:
+        keyframes: (K,) int64, all of one map.
+        wTc: (K, 4, 4) new poses, in the new units.
+        scale: (K,) new units per old one around each keyframe.
+    """
+
+    keyframes: IntArray
+    wTc: FloatArray
+    scale: FloatArray
+
+
+def apply(world: Map, anchor: int, correction: Correction) -> None:
+    """Move keyframes, and points with their reference keyframes; the caller holds ``Map.lock``.
+
+    Keyframes that came after the correction was computed follow keyframe ``anchor``.
+    """
+    kf, pts = world.keyframes, world.points
+    map_id = int(kf.map_id[anchor])
+    points = world.seen_by(world.alive(map_id))
+    world.refresh(points)  # so that every reference keyframe is there
+    # Where every keyframe's camera coordinates go: x -> scale R x + t.
+    wSc = np.broadcast_to(np.eye(4), (kf.count, 4, 4)).copy()
+    scale = np.ones(kf.count)
+    wSc[correction.keyframes], scale[correction.keyframes] = correction.wTc, correction.scale
+    new = np.setdiff1d(world.alive(map_id), correction.keyframes)
+    relative = kf.cTw[anchor] @ inverse(kf.cTw[new])
+    relative[:, :3, 3] *= scale[anchor]
+    wSc[new], scale[new] = wSc[anchor] @ relative, scale[anchor]
+    reference = pts.reference[points]
+    in_camera = np.einsum("nij,nj->ni", kf.cTw[reference, :3, :3], pts.xyz[points]) + kf.cTw[reference, :3, 3]
+    in_camera *= scale[reference, None]
+    pts.xyz[points] = np.einsum("nij,nj->ni", wSc[reference, :3, :3], in_camera) + wSc[reference, :3, 3]
+    for k in world.alive(map_id).tolist():
+        world.set_pose(k, inverse(wSc[k]))
+    world.rescale(map_id, scale)
+    world.refresh(points)
