@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from prgbd.core.slam import GeometricSLAM
 
 # What the loop, and not the plug-in, reads from a plug-in's node.
-LOOP_KEYS = {"slam": ("mode", "baseline"), "depth": (), "data": ("sequences", "test_sequences")}
+LOOP_KEYS = {"slam": ("mode", "baseline", "load_map", "save_map"), "depth": (), "data": ("sequences", "test_sequences")}
 MODES = ("auto", "mono", "rgbd", "pseudo_rgbd")
 
 

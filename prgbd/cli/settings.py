@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prgbd.core.errors import ConfigError
+from prgbd.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     import torch
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from prgbd.cli.parts import Parts
     from prgbd.core.depth import DepthEstimator
     from prgbd.loop.self_improving import LoopSettings
+    from prgbd.loop.slam_runs import MapFiles
     from prgbd.loop.summary import RunIdentity
     from prgbd.loop.viewing import ViewerMaker
     from prgbd.training.pretraining_settings import PretrainingSettings
@@ -219,7 +220,28 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
         alignment=evaluation.alignment,
         seed=int(config["seed"]),
         export=export_formats(config),
+        maps=map_files(config),
     )
+
+
+def map_files(config: Mapping[str, Any]) -> MapFiles:
+    """Read where SLAM's maps come from and go to.
+
+    Raises:
+        ConfigError: If a value is no file name, or one file would have to take the maps of several recordings.
+        DataError: If the map to load is missing.
+    """
+    from prgbd.loop.slam_runs import MapFiles
+
+    node = config.get("slam") or {}
+    load, save = node.get("load_map"), node.get("save_map") or False
+    if load is not None and not (isinstance(load, str) and load):
+        raise ConfigError(f"slam.load_map is {load!r}; it must be a file that slam.save_map made.")
+    if load is not None and not Path(load).is_file():
+        raise DataError(f"There is no map {load}; make one with slam.save_map.")
+    if not isinstance(save, bool | str):
+        raise ConfigError(f"slam.save_map is {save!r}; it must be true, false or a file.")
+    return MapFiles(None if load is None else Path(load), save if isinstance(save, bool) else Path(save))
 
 
 def export_formats(config: Mapping[str, Any]) -> tuple[str, ...]:

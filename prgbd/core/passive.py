@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -112,6 +113,14 @@ class CheckedSLAM(GeometricSLAM):
         check_slam_result(result, self._frames, self._who)
         self._camera = None
         return result
+
+    def save_map(self, path: Path | str) -> None:
+        """See ``GeometricSLAM.save_map``."""
+        self.unwrapped.save_map(path)
+
+    def load_map(self, path: Path | str) -> None:
+        """See ``GeometricSLAM.load_map``."""
+        self.unwrapped.load_map(path)
 
     def view(self) -> SlamView | None:
         """See ``GeometricSLAM.view``."""

@@ -6,12 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.errors import ConfigError
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 
 MODES = ("mono", "rgbd", "stereo")
@@ -108,6 +110,26 @@ class GeometricSLAM(ABC):
     def view(self) -> SlamView | None:
         """Return copies of what is known now, between two calls of ``track``; None if the system does not tell."""
         return None
+
+    def save_map(self, path: Path | str) -> None:
+        """Write the map to a file, at any time between ``reset`` and ``close``; optional.
+
+        Raises:
+            ConfigError: If the system has no such files.
+        """
+        raise ConfigError(f"{type(self).__name__} cannot save its map; leave slam.save_map out.")
+
+    def load_map(self, path: Path | str) -> None:
+        """Take the map of an earlier recording of the same place, between ``reset`` and the first frame; optional.
+
+        Frames are then looked for in that map, and poses are in its coordinates. The result's keyframes and
+        observations are those of the present recording, its points those of the whole map.
+
+        Raises:
+            ConfigError: If the system has no such files, or the map does not fit the recording.
+            DataError: If the file cannot be read.
+        """
+        raise ConfigError(f"{type(self).__name__} cannot load a map; leave slam.load_map out.")
 
     def close(self) -> None:  # noqa: B027 - optional to override
         """Free threads, files and memory; safe to call twice."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.monitor import Monitor, SilentMonitor
 from prgbd.loop.refining import Refiner
 from prgbd.loop.sensing import DepthSensor, weights_fingerprint
-from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
+from prgbd.loop.slam_runs import MapFiles, SlamInput, describe_pose, pose_figures, run_slam
 from prgbd.loop.store import RunStore
 from prgbd.loop.summary import RunIdentity, write_summary, write_truth
 from prgbd.loop.viewing import ViewerMaker
@@ -44,6 +44,7 @@ class LoopSettings:
         alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
         seed: Seed of everything random.
         export: Formats of SLAM's results, see ``prgbd.core.export.write_slam_folder``.
+        maps: Files of SLAM's maps; not with refinement, which changes the scale of the depth.
 
     Raises:
         ConfigError: If a value cannot work.
@@ -61,6 +62,7 @@ class LoopSettings:
     alignment: str = "sim3"
     seed: int = 0
     export: tuple[str, ...] = DEFAULT_FORMATS
+    maps: MapFiles = field(default_factory=MapFiles)
 
     def __post_init__(self) -> None:
         if isinstance(self.max_loops, bool) or not isinstance(self.max_loops, int) or self.max_loops < 0:
@@ -71,6 +73,8 @@ class LoopSettings:
             raise ConfigError(
                 f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
             )
+        if self.max_loops and self.maps != MapFiles():
+            raise ConfigError("Maps of SLAM are loaded and saved without refinement alone; add task=slam.")
         if not self.depth_cap > 0:
             raise ConfigError(f"evaluation.depth_cap is {self.depth_cap}; it must be positive (metres).")
 
@@ -220,7 +224,16 @@ class SelfImprovingLoop:
         given = SlamInput(sensor, "rgbd", baseline, statistics)
         recording = self.store.path("viz", f"{loop:02d}-{sequence.name}")
         viewer = None if self.make_viewer is None else self.make_viewer(sequence, recording)
-        result = run_slam(self.make_slam, sequence, given, seed=self.settings.seed, monitor=self.monitor, viewer=viewer)
+        result = run_slam(
+            self.make_slam,
+            sequence,
+            given,
+            seed=self.settings.seed,
+            monitor=self.monitor,
+            viewer=viewer,
+            load_map=self.settings.maps.load,
+            save_map=self.settings.maps.target(self.store.folder, sequence.name),
+        )
         with self.store.new_folder(self.store.loop(loop, "slam", sequence.name)) as folder:
             write_slam_folder(result, folder, self.settings.export, frame=sequence.frame)
         return pose_figures(result, sequence, self.settings.alignment)

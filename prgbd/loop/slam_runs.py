@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from prgbd.core.data import Sequence
@@ -20,6 +21,25 @@ from prgbd.loop.viewing import SilentViewer, SlamViewer
 KINECT_BASELINE = 0.08
 # What the progress line shows of a system's ``info``.
 SHOWN = ("keyframes", "points", "maps")
+
+
+@dataclass(frozen=True)
+class MapFiles:
+    """Where the maps of a SLAM system come from and go to.
+
+    Attributes:
+        load: File of the map that every recording starts in, or None.
+        save: File to keep the map in; True for ``maps/SEQUENCE.npz`` in the run folder.
+    """
+
+    load: Path | None = None
+    save: Path | bool = False
+
+    def target(self, folder: Path, sequence: str) -> Path | None:
+        """Return where the map of a recording goes, None if nowhere."""
+        if isinstance(self.save, bool):
+            return folder / "maps" / f"{sequence}.npz" if self.save else None
+        return self.save
 
 
 @dataclass(frozen=True)
@@ -69,6 +89,8 @@ def run_slam(
     seed: int = 0,
     monitor: Monitor | None = None,
     viewer: SlamViewer | None = None,
+    load_map: Path | None = None,
+    save_map: Path | None = None,
 ) -> SlamResult:
     """Run a SLAM system over a sequence.
 
@@ -79,6 +101,8 @@ def run_slam(
         seed: Seed of everything random in the system.
         monitor: Who watches the progress.
         viewer: Who watches frames and map; it is closed at the end.
+        load_map: File of a map to start in, see ``GeometricSLAM.load_map``.
+        save_map: File to keep the map in.
 
     Returns:
         The system's result; its ``stats`` also hold ``seconds``, ``fps``, ``baseline`` and the depth's diagnostics.
@@ -92,6 +116,10 @@ def run_slam(
         monitor.stage(f"SLAM on {sequence.name}", len(sequence)) as progress,
     ):
         system.reset(sequence.camera, given.mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
+        if load_map is not None:
+            system.load_map(load_map)
+        if save_map is not None:
+            _require_save_map(system, save_map)
         for frame in given.frames:
             begin = time.perf_counter()
             tracked = system.track(frame)
@@ -105,6 +133,8 @@ def run_slam(
         result = system.finish()
         seconds += time.perf_counter() - begin
         watching.finished(result)
+        if save_map is not None:
+            system.save_map(save_map)
     noted: dict[str, Any] = {
         "seconds": seconds,
         "fps": len(sequence) / max(seconds, 1e-9),
@@ -114,6 +144,13 @@ def run_slam(
     if given.statistics is not None:
         noted["pseudo_depth"] = given.statistics.diagnostics()
     return replace(result, stats={**result.stats, **noted})
+
+
+def _require_save_map(system: GeometricSLAM, path: Path) -> None:
+    """Complain before the first frame, not after the last, if the system cannot save its map."""
+    plain = getattr(system, "unwrapped", system)
+    if type(plain).save_map is GeometricSLAM.save_map:
+        plain.save_map(path)
 
 
 def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3") -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.cli.conftest import FAKES
-from tests.loop.fakes import WALL
+from tests.loop.fakes import WALL, Sideways
 
 EVERY_LOOP = {
     "slam/wall/result.npz",
@@ -129,6 +129,35 @@ def test_results_are_exported_in_the_formats_that_were_chosen(run, cli):
     assert found - images == {"result.npz", "slam.json", "trajectory.tum", "keyframes.tum", "online.tum"} | sparse
     assert "colmap/images/000000.png" in images
     assert "did you mean 'kitti'" in cli(*FAKES, "task=slam", "export=[kiti]", "out=wrong").sentence
+
+
+def test_maps_are_kept_in_the_run_and_taken_from_a_file(run, cli, monkeypatch):
+    calls = []
+    monkeypatch.setattr(Sideways, "save_map", lambda self, path: calls.append(("save", Path(path))))
+    monkeypatch.setattr(Sideways, "load_map", lambda self, path: calls.append(("load", Path(path))))
+    Path("old.npz").touch()
+    mono = ("slam=test/sideways", "data=test/wall", "slam.mode=mono")
+    run("task=slam", "+slam.save_map=true", "+slam.load_map=old.npz", fakes=mono)
+    assert calls == [("load", Path("old.npz")), ("save", Path("run/maps/wall.npz").resolve())]
+    Path("run").rename("first")
+    calls.clear()
+    run("task=slam", "+slam.save_map=new.npz")  # on the network's depth
+    assert calls == [("save", Path("new.npz"))]
+
+
+def test_maps_that_cannot_be_are_named(cli):
+    def sentence(*arguments):
+        answer = cli(*FAKES, *arguments, "out=wrong")
+        assert answer.code == 2
+        return answer.sentence
+
+    assert "Sideways cannot save its map" in sentence("task=slam", "+slam.save_map=true")
+    Path("wrong").rename("stopped")
+    assert "no map absent.npz" in sentence("task=slam", "+slam.load_map=absent.npz")
+    assert "add task=slam" in sentence("+slam.save_map=true")
+    assert "slam.save_map=true" in sentence(
+        "task=slam", "+slam.save_map=one.npz", "data.root=.", "data.sequences=[00,10]"
+    )
 
 
 def test_adaptive_baseline_by_percentile(run):

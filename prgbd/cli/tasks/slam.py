@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
+from prgbd.core.errors import ConfigError
 from prgbd.core.export import write_slam_folder
 from prgbd.loop.self_improving import SelfImprovingLoop, step_name
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
@@ -19,7 +21,14 @@ NAMES = {"mono": "RGB", "rgbd": "RGB-D"}
 
 
 def run(job: Job) -> None:
-    """Run SLAM on every sequence and write the report."""
+    """Run SLAM on every sequence and write the report.
+
+    Raises:
+        ConfigError: If one file would have to take the maps of several recordings.
+    """
+    several = len(job.parts.sequences) + len(job.parts.test_sequences) > 1
+    if several and isinstance(settings.map_files(job.config).save, Path):
+        raise ConfigError("slam.save_map names one file for the maps of several recordings; use slam.save_map=true.")
     report(job, _on_pseudo_depth(job) if job.parts.mode == "pseudo_rgbd" else _on_recording(job))
 
 
@@ -68,8 +77,16 @@ def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
     given = sensor_input(sequence, parts.mode, parts.baseline)
     make_viewer = settings.viewer_maker(job.config)
     viewer = None if make_viewer is None else make_viewer(sequence, job.store.path("viz", f"00-{sequence.name}"))
+    maps = settings.map_files(job.config)
     result = run_slam(
-        parts.make_slam, sequence, given, seed=int(job.config["seed"]), monitor=job.display, viewer=viewer
+        parts.make_slam,
+        sequence,
+        given,
+        seed=int(job.config["seed"]),
+        monitor=job.display,
+        viewer=viewer,
+        load_map=maps.load,
+        save_map=maps.target(job.store.folder, sequence.name),
     )
     with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
         write_slam_folder(result, folder, settings.export_formats(job.config), frame=sequence.frame)

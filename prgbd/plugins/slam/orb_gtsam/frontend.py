@@ -59,6 +59,12 @@ class FrontEnd:
         self._last_keyframe = -1
         self._handovers: list[Handover] = []
 
+    def enter(self) -> None:
+        """Begin lost in a map of an earlier recording: frames look for their place in it."""
+        self.tracker.reference = int(self.world.alive()[0])
+        self.near.clear()
+        self._started, self._lost = True, 1
+
     def take(self, frame: TrackedFrame) -> tuple[TrackingResult, list[Handover]]:
         """Track a frame; the caller holds ``Map.lock``, and passes the keyframes on after giving it back."""
         self._handovers = []
@@ -114,7 +120,7 @@ class FrontEnd:
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, keyframe)
 
     def _wants_keyframe(self, frame: TrackedFrame, inliers: int) -> bool:
-        return needs_keyframe(
+        return not self.settings.localise_only and needs_keyframe(
             self.world,
             self.rig,
             self.settings,
@@ -129,11 +135,14 @@ class FrontEnd:
         """Count a lost frame, and start a new map if there is little to go back to."""
         self._lost += 1
         self.tracker.velocity = None
-        small = len(self.world.alive()) <= self.settings.restart_keyframes
+        if self.settings.localise_only:
+            return TrackingResult(TrackingState.LOST)
+        entered = self.tracker.last is not None  # a frame was tracked, since the start or since a map was loaded
+        small = entered and len(self.world.alive()) <= self.settings.restart_keyframes
         if small or self._lost >= self.settings.restart_after:
             log.info("Tracking is lost at frame %d; starting a new map.", frame.index)
             self.world.current_map += 1
-            self.starter.begin_at(self.tracker.last_pose())
+            self.starter.begin_at(self.tracker.last_pose() if entered else np.eye(4))
             self.near.clear()
             self._started = False
         return TrackingResult(TrackingState.LOST)

@@ -81,14 +81,15 @@ class History:
         )
 
     def result(self, world: Map, rig: Rig, stats: dict[str, Any]) -> SlamResult:
-        """Return everything in the contract's columns."""
+        """Return everything in the contract's columns; keyframes of a loaded map, numbered below 0, are left out."""
         kf, pts = world.keyframes, world.points
-        alive = np.flatnonzero(~kf.bad[: kf.count])
+        alive = np.flatnonzero(~kf.bad[: kf.count] & (kf.frame_index[: kf.count] >= 0))
         maps = np.unique(kf.map_id[alive], return_inverse=True)[1].astype(np.int32)
         row_of = np.full(kf.count, -1, np.int64)
         row_of[alive] = np.arange(len(alive))
         points = np.flatnonzero(~pts.bad[: pts.count] & (pts.head[: pts.count] >= 0))
         seen = world.observations(points)
+        seen = seen[row_of[seen[:, 0]] >= 0]
         order = np.lexsort((seen[:, 1], seen[:, 0]))
         at, keypoint, point = seen[order].T
         return SlamResult(

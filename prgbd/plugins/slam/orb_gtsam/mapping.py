@@ -24,6 +24,11 @@ class Columns:
         for name, (shape, dtype, fill) in columns.items():
             setattr(self, name, np.full((16, *shape), fill, dtype))
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self._fill)
+
     def grow(self, rows: int) -> int:
         """Add ``rows`` rows of fill values and return the first one's number."""
         first, needed = self.count, self.count + rows

@@ -84,6 +84,7 @@ class Settings:
         focal_length_sigma: Relative standard deviation of the camera's focal length. A monocular map that knows it four
             times better refines it with all poses and points before the last bundle adjustment, and the result names
             the refined camera. 0 keeps the focal length, as ORB-SLAM2 does.
+        localise_only: Only localise in a loaded map (``load_map``): no new keyframes, and the map stays as it is.
         full_ba: Whether ``finish`` runs a bundle adjustment over the whole map.
         full_ba_iterations: Its iterations.
         full_ba_backend: "gtsam" or "numba".
@@ -146,6 +147,7 @@ class Settings:
     essential_weight: int = 100
     loop_ba: bool = True
     focal_length_sigma: float = 0.01
+    localise_only: bool = False
     full_ba: bool = True
     full_ba_iterations: int = 10
     full_ba_backend: str = "gtsam"

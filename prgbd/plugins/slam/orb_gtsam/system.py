@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from prgbd.plugins.slam.orb_gtsam.initialisation import DepthStarter, Starter
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.loop_closing import LoopCloser
+from prgbd.plugins.slam.orb_gtsam.map_file import load_map, save_map
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
@@ -71,6 +73,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self.close()
         announce_compilation()
         settings = self.settings
+        self._given = camera
         self._extractor = OrbExtractor(settings, camera.width, camera.height)
         near = 0.0 if mode == "mono" else float(baseline or 0.0)
         self._rig = Rig(
@@ -105,6 +108,8 @@ class OrbGtsamSLAM(GeometricSLAM):
         """
         self._require_ready()
         self._check(frame)
+        if self.settings.localise_only and not self._map.keyframes.count:
+            raise ConfigError("slam.localise_only=true needs a map to localise in; give slam.load_map=FILE.")
         with self._watch("features"):
             depth = None if self._rig.mono else frame.depth
             features = self._extractor.extract(frame.image, depth, self._rig.bf, self._rig.trusted_depth)
@@ -125,6 +130,31 @@ class OrbGtsamSLAM(GeometricSLAM):
         last, frames = self._frontend.tracker.last, len(self._frontend.history.states)
         with self._map.lock:
             return view_of(self._map, last.frame if last is not None and last.frame.ordinal == frames - 1 else None)
+
+    def save_map(self, path: Path | str) -> None:
+        """See ``GeometricSLAM.save_map``."""
+        if "_map" not in self.__dict__:
+            raise ContractError("orb_gtsam has no map to save; call reset and track first.")
+        if self._ready:
+            self._backend.drain()
+        with self._map.lock:
+            save_map(self._map, self._rig, self._given, self.settings, path)
+
+    def load_map(self, path: Path | str) -> None:
+        """See ``GeometricSLAM.load_map``; all keypoints, points and observations come back.
+
+        Raises:
+            DataError: If the file is missing, truncated, or of another version.
+            ConfigError: If the map does not fit the camera, the mode or the settings, or has no keyframes.
+        """
+        self._require_ready()
+        if self._frontend.history.states:
+            raise ContractError("A map was loaded after the first frame; call load_map between reset and track.")
+        with self._map.lock:
+            load_map(self._map, self._rig, path)
+            if len(self._map.alive()) == 0:
+                raise ConfigError(f"The map {path} has no keyframes; leave slam.load_map out.")
+            self._frontend.enter()
 
     def _check(self, frame: Frame) -> None:
         camera = self._rig.camera
@@ -157,7 +187,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._require_ready()
         self._backend.drain()
         history, stats = self._frontend.history, dict[str, Any]()
-        if self.settings.full_ba:
+        if self.settings.full_ba and not self.settings.localise_only:
             if self._rig.mono and self.settings.focal_length_sigma > 0:
                 with self._watch("self_calibration"):
                     stats["focal_length"] = self_calibrate(self._map, self._rig, self.settings.focal_length_sigma)

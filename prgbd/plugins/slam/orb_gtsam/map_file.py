@@ -1,0 +1,200 @@
+"""A map in one file, so that another recording of the same place can be tracked in it and extend it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.files import atomic_path, to_plain
+from prgbd.core.types import PinholeCamera
+from prgbd.plugins.slam.orb_gtsam.mapping import Columns, Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+KIND = "prgbd orb_gtsam map"
+FORMAT = 1
+# Rebuilt from the other columns when a map is read.
+_LINKS = ("following", "head")
+# Columns whose place in a row is not a keypoint, whatever its size.
+_PER_KEYFRAME = ("cell_start",)
+_PIXELS = 1e-3
+
+
+def save_map(world: Map, rig: Rig, given: PinholeCamera, settings: Settings, path: Path | str) -> None:
+    """Write the whole map to one compressed ``.npz`` without pickles, whole or not at all.
+
+    Culled keyframes and points keep their row, so that numbers stay what they are, but not their content.
+
+    Args:
+        world: The map; the caller holds its lock.
+        rig: The camera, as self-calibration left it.
+        given: The camera as the user gave it, by which recordings of the same camera are recognised.
+        settings: Kept for people to read; only the pyramid has to be the same when the map is loaded.
+        path: The file.
+    """
+    kf, pts = world.keyframes, world.points
+    header = {
+        "kind": KIND,
+        "format": FORMAT,
+        "camera": rig.camera.to_dict(),
+        "given_camera": given.to_dict(),
+        "mode": "mono" if rig.mono else "rgbd",
+        "baseline": rig.baseline,
+        "scales": rig.scales,
+        "settings": asdict(settings),
+    }
+    size = np.where(kf.bad[: kf.count], 0, kf.size[: kf.count])
+    used = np.arange(world.capacity) < size[:, None]
+    columns: dict[str, Any] = {"header": np.array(json.dumps(to_plain(header)))}
+    for name, column in _columns(kf).items():
+        if name == "size":
+            columns[f"keyframes.{name}"] = size
+        elif _is_keypoint_column(name, column, world.capacity):
+            columns[f"keypoints.{name}"] = column[used]
+        else:
+            columns[f"keyframes.{name}"] = column
+    gone = pts.bad[: pts.count]
+    for name, column in _columns(pts).items():
+        kept = column.copy()
+        if name not in ("bad", "replaced_by"):
+            kept[gone] = 0  # nobody reads them again, and zeros take no space
+        columns[f"points.{name}"] = kept
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **columns)
+
+
+def load_map(world: Map, rig: Rig, path: Path | str) -> None:
+    """Fill an empty map from a file that ``save_map`` wrote.
+
+    Keyframes of earlier recordings get negative frame numbers, ``-1 - index``: they are no frames of the present one.
+    The map with most keyframes gets the highest number and becomes the current one.
+
+    Args:
+        world: The map, without keyframes.
+        rig: The camera of the present recording; gets the focal length that the map has refined.
+        path: The file.
+
+    Raises:
+        DataError: If the file is missing, truncated, or no map of this version.
+        ConfigError: If the map was made with another camera, mode or pyramid, or has keyframes with more keypoints.
+    """
+    path = Path(path)
+    header, arrays = _read(path)
+    _require_fit(path, header, arrays, world, rig)
+    try:
+        _fill(world, arrays)
+    except (KeyError, ValueError, IndexError) as error:
+        raise DataError(f"The map {path} does not hold together ({error}); save it again.") from error
+    refined = header["camera"]
+    rig.camera = replace(rig.camera, fx=refined["fx"], fy=refined["fy"])
+    kf = world.keyframes
+    if header["mode"] == "rgbd" and header["baseline"] != rig.baseline:
+        # The right column is virtual: it follows the baseline of the present recording.
+        measured = kf.u_right[: kf.count] >= 0
+        measured &= kf.depth[: kf.count] > 0
+        right = kf.uv[: kf.count, :, 0] - np.float32(rig.bf) / np.where(measured, kf.depth[: kf.count], 1)
+        kf.u_right[: kf.count][measured] = right[measured]
+    kf.frame_index[: kf.count] = np.where(
+        kf.frame_index[: kf.count] >= 0, -1 - kf.frame_index[: kf.count], kf.frame_index[: kf.count]
+    )
+    _order_maps(world)
+
+
+def _fill(world: Map, arrays: dict[str, NDArray[Any]]) -> None:
+    kf, pts = world.keyframes, world.points
+    size = arrays["keyframes.size"]
+    kf.grow(len(size))
+    pts.grow(len(arrays["points.bad"]))
+    used = np.arange(world.capacity) < size[:, None]
+    point = np.full(used.shape, -1, np.int64)
+    point[used] = arrays["keypoints.point"]
+    if point.max(initial=-1) >= pts.count:
+        raise ValueError("a keyframe observes a point that does not exist")
+    for kind, columns in (("keyframes", kf), ("keypoints", kf), ("points", pts)):
+        for name, column in _columns(columns).items():
+            stored = arrays.get(f"{kind}.{name}")
+            if stored is None or name == "point":
+                continue  # a column that this version added keeps its fill value
+            if kind == "keypoints":
+                column[used] = stored
+            else:
+                column[:] = stored
+    for k in range(kf.count):
+        rows = np.flatnonzero(point[k] >= 0)
+        world.observe(k, rows, point[k, rows])
+
+
+def _order_maps(world: Map) -> None:
+    """Number the maps from the smallest to the largest, which becomes the current one."""
+    kf = world.keyframes
+    known, row = np.unique(kf.map_id[: kf.count], return_inverse=True)
+    sizes = np.bincount(row[~kf.bad[: kf.count]], minlength=len(known))
+    rank = np.empty(len(known), np.int32)
+    rank[np.argsort(sizes, kind="stable")] = np.arange(len(known))
+    kf.map_id[: kf.count] = rank[row]
+    world.current_map = len(known) - 1
+
+
+def _columns(columns: Columns) -> dict[str, NDArray[Any]]:
+    """The rows in use of all columns but the links, by name."""
+    return {name: getattr(columns, name)[: columns.count] for name in columns.names if name not in _LINKS}
+
+
+def _is_keypoint_column(name: str, column: NDArray[Any], capacity: int) -> bool:
+    return name not in _PER_KEYFRAME and column.ndim >= 2 and column.shape[1] == capacity
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    if not path.is_file():
+        raise DataError(f"There is no map {path}; make one with slam.save_map.")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            header = json.loads(str(archive["header"]))
+            if header.get("kind") != KIND:
+                raise KeyError("kind")
+            found = header["format"]
+            if found != FORMAT:
+                raise DataError(
+                    f"The map {path} has format {found}, and this version of prgbd reads format {FORMAT}; "
+                    "save it again with this version."
+                )
+            return header, {name: archive[name] for name in archive.files if name != "header"}
+    except (OSError, ValueError, KeyError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise DataError(
+            f"{path} is not a whole map of orb_gtsam ({type(error).__name__}: {error}); save it again with "
+            "slam.save_map."
+        ) from error
+
+
+def _require_fit(path: Path, header: dict[str, Any], arrays: dict[str, NDArray[Any]], world: Map, rig: Rig) -> None:
+    then, now = header["given_camera"], rig.camera.to_dict()
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    if any(abs(then[name] - now[name]) > _PIXELS for name in names):
+        shown = " and ".join(
+            f"{c['width']}x{c['height']} fx={c['fx']:g} fy={c['fy']:g} cx={c['cx']:g} cy={c['cy']:g}"
+            for c in (then, now)
+        )
+        raise ConfigError(f"The map {path} and the recording have different cameras, {shown}; use the same camera.")
+    mode = "mono" if rig.mono else "rgbd"
+    if header["mode"] != mode:
+        raise ConfigError(f"The map {path} was made in mode {header['mode']}, not {mode}; set slam.mode to the same.")
+    if not np.array_equal(header["scales"], rig.scales):
+        given = header["settings"]
+        raise ConfigError(
+            f"The map {path} was made with slam.levels={given['levels']} and slam.scale_factor="
+            f"{given['scale_factor']}; set the same."
+        )
+    most = int(arrays["keyframes.size"].max(initial=0)) if "keyframes.size" in arrays else 0
+    if most > world.capacity:
+        raise ConfigError(
+            f"The map {path} has keyframes with {most} keypoints, more than slam.features={world.capacity}; "
+            f"set slam.features={most}."
+        )
