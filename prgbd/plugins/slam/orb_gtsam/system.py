@@ -91,7 +91,8 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._watch = Stopwatch()
         mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
         self._backend = MappingBackend(mapper, self._watch)
-        self._loops = self._close_loops(mapper, PlaceIndex(seed=seed), seed)
+        self._places = PlaceIndex(seed=seed)
+        self._loops = self._close_loops(mapper, self._places, seed)
         least = settings.keypoints_to_start(camera.width, camera.height)
         starter: Starter = (
             TwoViewStarter(settings, self._rig, mapper, least, seed) if self._rig.mono else DepthStarter(mapper, least)
@@ -154,6 +155,9 @@ class OrbGtsamSLAM(GeometricSLAM):
             load_map(self._map, self._rig, path)
             if len(self._map.alive()) == 0:
                 raise ConfigError(f"The map {path} has no keyframes; leave slam.load_map out.")
+            for map_id in self._map.map_ids():
+                for k in self._map.alive(map_id).tolist():
+                    self._places.add(k, self._map.features(k).descriptor)
             self._frontend.enter()
 
     def _check(self, frame: Frame) -> None:
