@@ -1,163 +1,237 @@
-"""Measure SLAM on a recording: accuracy, coverage, speed and the time of every stage, with a picture of the trajectory.
+r"""Measure SLAM on a recording: accuracy, coverage, speed, memory and the time of every stage, with a picture.
 
 Examples:
     python benchmarks/slam.py seven_scenes mode=rgbd data.root=../shared/data/seven_scenes
-    python benchmarks/slam.py kitti_odometry mode=mono data.root=../shared/data/kitti_odometry
+    python benchmarks/slam.py kitti_odometry mode=mono data.root=../shared/data/kitti_odometry --seeds 5
     python benchmarks/slam.py kitti_odometry mode=pseudo_rgbd data.root=../shared/data/kitti_odometry \
-        depth=rt_monodepth depth.weights=../shared/data/weights/rt_monodepth_s/ms_640_192
-    python benchmarks/slam.py synthetic mode=rgbd data.scene=indoor data.sensor_depth=true slam.features=500
+        depth=rt_monodepth depth.weights=../shared/data/weights/rt_monodepth_s/ms_640_192 slam.realtime=true
+    python benchmarks/slam.py kitti_odometry mode=mono data.root=../shared/data/kitti_odometry \
+        --compare ../shared/reference/trajectories/orb_slam2/kitti00_mono.tum --compare-fps 10
+    python benchmarks/slam.py synthetic mode=rgbd data.frames=3000 data.sensor_depth=true --per 500
 
-Options are ``group.name=value``; ``baseline=`` sets the baseline in metres, ``png=`` the picture, ``depth_percentile=``
-which percentile of the predicted depth counts as the largest one (100: the paper's).
+Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metres), depth_percentile (which percentile
+of the predicted depth counts as the largest; 100 is the paper's), slam.*, data.* and depth.* for the plug-ins.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
+from slam_measuring import Measured, Source, make_source, measure, warm_up
+from slam_pictures import draw
+from slam_trajectories import Aligned, align, read_tum
 
 import prgbd
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, PrgbdError
-from prgbd.core.types import SlamResult, Trajectory
 
-# ORB-SLAM2's TUM settings: bf = 40 at fx = 500.
-KINECT_BASELINE = 0.08
-KITTI_BASELINE_OF_DEPTH = 0.54 / 80.0
+FLAGS = ("seeds", "frames", "per", "json", "png", "compare", "compare_fps")
 
 
-def options(arguments: list[str]) -> dict[str, Any]:
-    """Read ``group.name=value`` arguments into nested dictionaries; values are YAML."""
-    found: dict[str, Any] = {"data": {}, "slam": {}, "depth": {}}
+def parse(arguments: list[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
+    """Read the command line; flags may be written as name=value as well."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", help="id of the data plug-in")
+    parser.add_argument("settings", nargs="*", help="name=value")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="run seeds 0..N-1 and give the median")
+    parser.add_argument("--frames", default="", metavar="A:B[:STEP]", help="use only these frames")
+    parser.add_argument("--per", type=int, default=0, metavar="N", help="print the time of every N frames")
+    parser.add_argument("--compare", action="append", default=[], metavar="FILE.tum", help="another system's poses")
+    parser.add_argument("--compare-fps", type=float, help="its frame is round(time * FPS); default: nearest time")
+    parser.add_argument("--json", metavar="FILE", help="write the figures there too")
+    parser.add_argument("--png", metavar="FILE", help="the picture (default: SEQUENCE_MODE.png)")
+    flags = []
     for argument in arguments:
         name, equals, value = argument.partition("=")
+        known = equals and not name.startswith("-") and name.replace("-", "_") in FLAGS
+        flags += [f"--{name.replace('_', '-')}", value] if known else [argument]
+    chosen = parser.parse_intermixed_args(flags)
+    return chosen, read_settings(chosen.settings)
+
+
+def read_settings(settings: list[str]) -> dict[str, Any]:
+    """Read ``group.name=value`` arguments into nested dictionaries; values are YAML."""
+    found: dict[str, Any] = {"data": {}, "slam": {}, "depth": {}}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
         if not equals:
-            raise ConfigError(f"'{argument}' is no option; write name=value.")
+            raise ConfigError(f"'{setting}' is no setting; write name=value.")
         group, dot, key = name.partition(".")
         if name in ("depth", "slam"):
             group, dot, key = name, ".", "id"
+        if dot and group not in found:
+            raise ConfigError(f"'{setting}' belongs to no group; write data.*, slam.* or depth.*.")
         (found[group] if dot else found)[key if dot else name] = yaml.safe_load(value)
     return found
 
 
-def predict(sequence: Sequence, depth: dict[str, Any]) -> NDArray[np.float32]:
-    """Predict inverse depth for every frame at the network's size, (N, h, w) float32."""
-    import cv2
-
-    chosen = dict(depth)
-    estimator = prgbd.make_depth(chosen.pop("id", "rt_monodepth"), **chosen)
-    height, width = estimator.input_size
-    made = []
-    for i in range(len(sequence)):
-        predicted = estimator.predict(sequence.frame(i).image)
-        made.append(cv2.resize(1.0 / predicted, (width, height), interpolation=cv2.INTER_AREA))
-    return np.stack(made).astype(np.float32)
-
-
-def ape(trajectory: Trajectory, truth: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the ATE (evo, Sim3 alignment), and true and aligned positions."""
-    from evo.core.metrics import APE, PoseRelation, StatisticsType
-    from evo.core.trajectory import PosePath3D
-
-    known = np.isfinite(truth[trajectory.frame_index]).all(axis=(1, 2))
-    reference = PosePath3D(poses_se3=list(truth[trajectory.frame_index[known]]))
-    estimate = PosePath3D(poses_se3=list(trajectory.wTc[known]))
-    estimate.align(reference, correct_scale=True)
-    metric = APE(PoseRelation.translation_part)
-    metric.process_data((reference, estimate))
-    return metric.get_statistic(StatisticsType.rmse), reference.positions_xyz, estimate.positions_xyz
-
-
-def draw(path: Path, truth: NDArray[np.float64], estimate: NDArray[np.float64], title: str) -> None:
-    """Draw both trajectories from above (x, z) and from ahead (x, y)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 2, figsize=(13, 6))
-    for axis, (u, v) in zip(axes, ((0, 2), (0, 1)), strict=True):
-        axis.plot(truth[:, u], truth[:, v], "k-", label="truth")
-        axis.plot(estimate[:, u], estimate[:, v], "r-", label="estimate (Sim3)")
-        axis.set_aspect("equal", "datalim")
-        axis.set_xlabel(f"{'xyz'[u]} [m]")
-        axis.set_ylabel(f"{'xyz'[v]} [m]")
-        axis.legend()
-    figure.suptitle(title)
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
-
-
-def run(sequence: Sequence, chosen: dict[str, Any]) -> tuple[SlamResult, float, float]:
-    """Run SLAM; return the result, frames per second of tracking and mapping, and the seconds of the end."""
-    mode = chosen.get("mode", "mono")
-    baseline, inverse = chosen.get("baseline"), None
-    if mode == "pseudo_rgbd":
-        inverse = predict(sequence, chosen["depth"])
-        lowest = np.percentile(inverse, 100.0 - float(chosen.get("depth_percentile", 100.0)))
-        baseline = baseline or KITTI_BASELINE_OF_DEPTH / float(lowest)
-    elif mode == "rgbd":
-        baseline = baseline or KINECT_BASELINE
-    import cv2
-
-    slam = dict(chosen["slam"])
-    with prgbd.make_slam(slam.pop("id", "orb_gtsam"), **slam) as system:
-        system.reset(sequence.camera, "mono" if mode == "mono" else "rgbd", baseline=baseline, fps=sequence.fps)
-        spent: list[float] = []
-        for i in range(len(sequence)):
-            frame = sequence.frame(i)
-            if inverse is not None:
-                size = (sequence.camera.width, sequence.camera.height)
-                frame = frame.with_depth((1.0 / cv2.resize(inverse[i], size)).astype(np.float32))
-            start = time.perf_counter()
-            system.track(frame)
-            spent.append(time.perf_counter() - start)
-        start = time.perf_counter()
-        result = system.finish()
-        # The first frames load or compile kernels.
-        return result, 1.0 / float(np.mean(spent[3:] or spent)), time.perf_counter() - start
-
-
-def main(arguments: list[str]) -> int:
-    """Run and print."""
+def positions(text: str, count: int) -> range:
+    """Return the frames that ``A:B[:STEP]`` names."""
     try:
-        if not arguments or "=" in arguments[0]:
-            raise ConfigError(f"Name a data plug-in first. {__doc__}")
-        chosen = options(arguments[1:])
-        sequence = prgbd.make_data(arguments[0], **chosen["data"])
-        result, fps, end = run(sequence, chosen)
-    except PrgbdError as error:
-        print(error, file=sys.stderr)
-        return 2
-    title = f"{arguments[0]} {sequence.name}, {chosen.get('mode', 'mono')}"
-    print(title)
-    print(f"  tracked frames  {result.tracked_frames} of {result.frames}")
-    print(f"  keyframes       {len(result.keyframes)} ({result.stats.get('keyframes_culled', 0)} culled)")
-    print(f"  map points      {len(result.points)}")
-    print(f"  speed           {fps:.1f} frames/s, {end:.1f} s at the end")
-    if sequence.poses is not None and result.tracked_frames >= 3:
-        rmse, truth, estimate = ape(result.trajectory, sequence.poses)
-        print(f"  ATE RMSE        {rmse:.4f} m (Sim3 alignment, {len(truth)} poses)")
-        picture = Path(chosen.get("png", f"{sequence.name.replace('/', '_')}_trajectory.png"))
-        draw(picture, truth, estimate, f"{title}: ATE {rmse:.3f} m, {result.tracked_frames}/{result.frames} tracked")
-        print(f"  picture         {picture}")
-    for loop in result.stats.get("loops", []):
+        chosen = (
+            range(count)[slice(*(int(part) if part else None for part in text.split(":")))] if text else range(count)
+        )
+    except (ValueError, TypeError):
+        raise ConfigError(f"--frames is '{text}'; write A:B or A:B:STEP.") from None
+    if len(chosen) < 2 or chosen.step < 1:
+        raise ConfigError(f"--frames is '{text}', which leaves no {2} frames of {count} in order.")
+    return chosen
+
+
+def errors_of(run: Measured, truth: NDArray[np.float64] | None, *, scale: bool = True) -> Aligned | None:
+    """Return our error, None without truth or with fewer than three poses."""
+    if truth is None or run.result.tracked_frames < 3:
+        return None
+    return align(run.result.trajectory, truth, scale=scale)
+
+
+def figures(run: Measured, truth: NDArray[np.float64] | None) -> dict[str, Any]:
+    """Return the figures of one run."""
+    result, stats = run.result, run.result.stats
+    sim3, se3 = errors_of(run, truth), errors_of(run, truth, scale=False)
+    return {
+        "tracked": result.tracked_frames,
+        "frames": result.frames,
+        "ate_sim3_m": None if sim3 is None else sim3.rmse,
+        "ate_se3_m": None if se3 is None else se3.rmse,
+        "scale": None if sim3 is None else sim3.scale,
+        "fps": run.fps,
+        "fps_with_finish": run.fps_with_finish,
+        "tracking_cpu_ms": 1000.0 * float(np.mean(run.cpu_seconds)),
+        "finish_s": run.finish_seconds,
+        "peak_mib": run.peak_mib,
+        "keyframes": len(result.keyframes),
+        "keyframes_culled": stats.get("keyframes_culled"),
+        "points": len(result.points),
+        "maps": len(np.unique(result.keyframes.map_id)),
+        "loops": len(stats.get("loops", [])),
+    }
+
+
+def print_figures(found: dict[str, Any], mode: str) -> None:
+    """Print one run."""
+    print(f"  tracked frames  {found['tracked']} of {found['frames']}")
+    print(f"  keyframes       {found['keyframes']} ({found['keyframes_culled']} culled), {found['points']} map points")
+    print(f"  maps, loops     {found['maps']}, {found['loops']}")
+    if found["ate_sim3_m"] is not None:
+        print(f"  ATE RMSE        {found['ate_sim3_m']:.4f} m (Sim3 alignment, scale {found['scale']:.3f})")
+        if mode != "mono":
+            print(f"                  {found['ate_se3_m']:.4f} m (SE3 alignment)")
+    print(f"  speed           {found['fps']:.1f} frames/s ({found['fps_with_finish']:.1f} with the end)")
+    print(f"  tracking thread {found['tracking_cpu_ms']:.1f} ms of CPU a frame")
+    print(
+        f"  at the end      {found['finish_s']:.1f} s; peak memory {found['peak_mib']:.0f} MiB with frames read ahead"
+    )
+
+
+def print_stages(run: Measured) -> None:
+    """Print where the time goes."""
+    total = 1000.0 * (float(run.seconds.sum()) + run.finish_seconds)
+    print(f"  {'stage':<20}{'median':>9}{'mean':>9}{'max':>9} ms{'runs':>7}{'of wall time':>14}")
+    for stage, times in run.result.stats.get("stages_ms", {}).items():
+        share = times["mean"] * times["runs"] / total
+        values = "".join(f"{times[name]:9.1f}" for name in ("median", "mean", "max"))
+        print(f"  {stage:<20}{values}   {times['runs']:7d}{share:14.0%}")
+
+
+def print_loops(run: Measured, truth: NDArray[np.float64] | None) -> None:
+    """Print the loops and welded maps, and how far apart their ends truly are."""
+    for loop in run.result.stats.get("loops", []):
         where = ""
-        if sequence.poses is not None:
-            ends = sequence.poses[[loop["frame"], loop["loop_frame"]], :3, 3]
+        if truth is not None:
+            ends = truth[[loop["frame"], loop["loop_frame"]], :3, 3]
             where = f", truly {np.linalg.norm(ends[0] - ends[1]):.1f} m apart"
         print(
             f"  {loop['kind']:<15} frame {loop['frame']} at frame {loop['loop_frame']}{where}: {loop['inliers']} "
             f"inliers, scale {loop['scale']:.3f}, {loop['ms']:.0f} ms"
         )
-    for stage, times in result.stats.get("stages_ms", {}).items():
-        print(f"  {stage:<18}{times['median']:8.1f} ms median {times['max']:8.1f} max {times['runs']:6d} runs")
+
+
+def print_blocks(run: Measured, size: int) -> None:
+    """Print the time of every ``size`` frames."""
+    print("  time per frame")
+    for start in range(0, len(run.seconds), size):
+        block = run.seconds[start : start + size]
+        print(f"    frames {start:5d}-{start + len(block) - 1:<5d} {1000 * block.mean():7.1f} ms")
+
+
+def compare(ours: Aligned, others: dict[str, Aligned], truth: NDArray[np.float64], run: Measured) -> None:
+    """Print other systems beside ours, each on its own frames and on those that both have."""
+    print(f"  {'system':<22}{'frames':>8}{'ATE Sim3':>10}{'both have':>11}{'its ATE':>9}{'ours':>9}  (m)")
+    print(f"  {'prgbd':<22}{len(ours.frames):8d}{ours.rmse:10.4f}")
+    for name, other in others.items():
+        common = np.intersect1d(ours.frames, other.frames)
+        mine = align(run.result.trajectory, truth, scale=True, only=common)
+        theirs = other.errors[np.isin(other.frames, common)]
+        print(
+            f"  {name:<22}{len(other.frames):8d}{other.rmse:10.4f}{len(common):11d}"
+            f"{float(np.sqrt(np.mean(theirs**2))):9.4f}{mine.rmse:9.4f}"
+        )
+
+
+def report(chosen: argparse.Namespace, source: Source, runs: list[Measured]) -> dict[str, Any]:
+    """Print all runs, draw the median one and return the figures."""
+    sequence, truth = source.sequence, source.sequence.poses
+    found = [figures(run, truth) for run in runs]
+    order = np.argsort([f["ate_sim3_m"] if f["ate_sim3_m"] is not None else 0.0 for f in found], kind="stable")
+    middle = int(order[(len(order) - 1) // 2])
+    title = f"{chosen.data} {sequence.name}, {source.mode}"
+    print(title)
+    if len(runs) > 1:
+        for seed, one in enumerate(found):
+            error = "" if one["ate_sim3_m"] is None else f"ATE {one['ate_sim3_m']:.4f} m, "
+            print(f"  seed {seed}: {error}{one['tracked']}/{one['frames']} tracked, {one['fps']:.1f} frames/s")
+        print(f"  the median (seed {middle}):")
+    print_figures(found[middle], source.mode)
+    run = runs[middle]
+    ours = errors_of(run, truth)
+    if ours is not None and truth is not None:
+        others = {
+            Path(file).stem: align(read_tum(Path(file), sequence.timestamps, chosen.compare_fps), truth, scale=True)
+            for file in chosen.compare
+        }
+        if others:
+            compare(ours, others, truth, run)
+        picture = Path(chosen.png or f"{sequence.name.replace('/', '_')}_{source.mode}.png")
+        heading = f"{title}: ATE {ours.rmse:.3f} m, {run.result.tracked_frames}/{run.result.frames} tracked"
+        named = {"prgbd": ours, **others}
+        draw(picture, truth[:, :3, 3], named, run.result.keyframes.frame_index, run.result.states, run.seconds, heading)
+        print(f"  picture         {picture}")
+    print_loops(run, truth)
+    print_stages(run)
+    if chosen.per:
+        print_blocks(run, chosen.per)
+    return {"title": title, "runs": found, "median": middle, "stages_ms": run.result.stats.get("stages_ms", {})}
+
+
+def main(arguments: list[str]) -> int:
+    """Run and print."""
+    try:
+        chosen, settings = parse(arguments)
+        sequence: Sequence = prgbd.make_data(chosen.data, **settings["data"])
+        source = make_source(
+            sequence,
+            settings.get("mode", "mono"),
+            positions(chosen.frames, len(sequence)),
+            settings["depth"],
+            settings.get("baseline"),
+            float(settings.get("depth_percentile", 100.0)),
+        )
+        warm_up(source, settings["slam"])
+        runs = [measure(source, settings["slam"], seed, f"seed {seed}") for seed in range(chosen.seeds)]
+        found = report(chosen, source, runs)
+        if chosen.json:
+            Path(chosen.json).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    except PrgbdError as error:
+        print(error, file=sys.stderr)
+        return 2
     return 0
 
 
