@@ -16,6 +16,7 @@ from prgbd.plugins.slam.orb_gtsam.features import Features
 from prgbd.plugins.slam.orb_gtsam.fusion import fuse_into
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
+from prgbd.plugins.slam.orb_gtsam.locking import FairLock
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.rig import Rig, measurements
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -30,6 +31,10 @@ Solver = Callable[[], BundleResult]
 _SECOND_NEIGHBOURS = 5
 # A point may leave probation this many keyframes after its creation (LocalMapping::MapPointCulling).
 _PROBATION = 3
+
+
+class MappingStopped(Exception):
+    """The mapper was told to stop in the middle of a keyframe."""
 
 
 class LocalMapper:
@@ -53,6 +58,7 @@ class LocalMapper:
         self.keyframes_culled = 0
         self.points_culled = 0
         self._recent: deque[tuple[int, IntArray]] = deque()
+        self._stopped = False
 
     def add_keyframe(
         self, frame_index: int, timestamp: float, cTw: FloatArray, features: Features, points: IntArray
@@ -93,8 +99,8 @@ class LocalMapper:
 
         The map's lock is taken for one short step after the other, so that a tracker beside it waits for one at most.
         """
-        watch, lock = self.watch, self.world.lock
-        with watch("point_culling"), lock:
+        watch = self.watch
+        with watch("point_culling"), self._step():
             self._cull_points(k)
         with watch("triangulation"):
             self._triangulate(k)
@@ -109,13 +115,22 @@ class LocalMapper:
             self._cull_keyframes(k)
         self._changed()
 
+    def stop(self) -> None:
+        """Let ``process``, which may be running in another thread, end before its next step by ``MappingStopped``."""
+        self._stopped = True
+
+    def _step(self) -> FairLock:
+        if self._stopped:
+            raise MappingStopped
+        return self.world.lock
+
     def _changed(self) -> None:
-        with self.world.lock:
+        with self._step():
             self.near.clear()
 
     def _mapped(self, k: int) -> IntArray:
         """Return the keyframes of the map of ``k``, which need not be the current one if the mapper lags behind."""
-        with self.world.lock:
+        with self._step():
             return self.world.alive(int(self.world.keyframes.map_id[k]))
 
     def _neighbours(self, k: int) -> IntArray:
@@ -140,29 +155,29 @@ class LocalMapper:
 
     def _triangulate(self, k: int) -> None:
         world = self.world
-        with world.lock:
+        with self._step():
             neighbours = self._neighbours(k).tolist()
         created = [np.zeros(0, np.int64)]
         for n in neighbours:
-            with world.lock:
+            with self._step():
                 created.append(create_points(world, self.rig, self.settings, k, n))
         new = np.concatenate(created)
         if len(new):
-            with world.lock:
+            with self._step():
                 world.refresh(new)
             self._recent.append((k, new))
 
     def _fuse(self, k: int) -> None:
         world = self.world
-        with world.lock:
+        with self._step():
             targets = dict.fromkeys(int(n) for n in self._neighbours(k))
             for n in list(targets):
                 targets.update(dict.fromkeys(int(m) for m in self.near.of(n)[:_SECOND_NEIGHBOURS] if int(m) != k))
         for target in targets:
-            with world.lock:
+            with self._step():
                 points = world.points_of(k)
                 fuse_into(world, self.rig, self.settings, target, points[points >= 0])
-        with world.lock:
+        with self._step():
             if targets:
                 fuse_into(world, self.rig, self.settings, k, world.seen_by(np.array(list(targets))))
             points = world.points_of(k)
@@ -171,11 +186,11 @@ class LocalMapper:
     def adjust(self, k: int) -> None:
         """Bundle adjustment of ``k``, its covisible keyframes and all their points."""
         world = self.world
-        with world.lock:
+        with self._step():
             keyframes, fixed, points, seen, solve = self._local_problem(k)
         # On copies: the tracker goes on meanwhile, and may add keyframes.
         result = solve()
-        with world.lock:
+        with self._step():
             for i, keyframe in enumerate(keyframes.tolist()):
                 if not fixed[i]:
                     world.set_pose(keyframe, result.cTw[i])
@@ -228,15 +243,14 @@ class LocalMapper:
 
     def _cull_keyframes(self, k: int) -> None:
         """Remove keyframes whose points three others see as well or better (LocalMapping::KeyFrameCulling)."""
-        world = self.world
         first = int(self._mapped(k)[0])
-        with world.lock:
+        with self._step():
             candidates = self.near.of(k).tolist()
         for candidate in candidates:
             # A later keyframe waits to be mapped itself.
             if candidate == first or candidate >= k:
                 continue
-            with world.lock:
+            with self._step():
                 self._cull_if_redundant(candidate)
 
     def _cull_if_redundant(self, candidate: int) -> None:

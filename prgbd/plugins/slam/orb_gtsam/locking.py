@@ -6,6 +6,9 @@ import threading
 from collections import deque
 from types import TracebackType
 
+# The lock is on its way to the thread that has waited longest.
+_NOBODY_ELSE = -1
+
 
 class FairLock:
     """A reentrant lock that threads get in the order in which they asked for it.
@@ -31,7 +34,11 @@ class FairLock:
             turn = threading.Lock()
             turn.acquire()
             self._queue.append(turn)
-        turn.acquire()
+        try:
+            turn.acquire()
+        except BaseException:
+            self._step_back(turn)
+            raise
         with self._mutex:
             # The one who released has handed the lock over, so nobody could take it in between.
             self._owner, self._depth = me, 1
@@ -46,13 +53,21 @@ class FairLock:
             if self._owner != threading.get_ident():
                 raise RuntimeError("The lock of the map was released by a thread that does not hold it.")
             self._depth -= 1
-            if self._depth:
-                return
-            if self._queue:
-                self._owner = -1
-                self._queue.popleft().release()
+            if self._depth == 0:
+                self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._owner = _NOBODY_ELSE if self._queue else None
+        if self._queue:
+            self._queue.popleft().release()
+
+    def _step_back(self, turn: threading.Lock) -> None:
+        """Stop waiting: the wait was interrupted (Ctrl-C)."""
+        with self._mutex:
+            if turn in self._queue:
+                self._queue.remove(turn)
             else:
-                self._owner = None
+                self._hand_over()
 
     def __enter__(self) -> FairLock:
         self.acquire()

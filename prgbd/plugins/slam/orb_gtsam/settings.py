@@ -67,6 +67,8 @@ class Settings:
         stereo_gate: Whether matches must agree with the measured depth (right-image coordinate), as in ORB-SLAM2.
         depth_trust: Depths beyond this many baselines make no stereo observation (the keypoint stays monocular);
             0 trusts all depths, as ORB-SLAM2 does.
+        realtime: Whether the mapper works in a thread beside the tracker; faster, but no two runs are quite alike.
+        realtime_queue: Most keyframes that wait for that mapper; when one more comes, the tracker waits as well.
         recovery_keyframes: Keyframes tried when tracking is recovered.
         restart_after: Lost frames after which a new map is started; a system with <= ``restart_keyframes`` keyframes
             starts at once.
@@ -134,6 +136,8 @@ class Settings:
     redundancy: float = 0.9
     stereo_gate: bool = True
     depth_trust: float = 0.0
+    realtime: bool = False
+    realtime_queue: int = 1
     recovery_keyframes: int = 12
     restart_after: int = 30
     restart_keyframes: int = 5
@@ -170,6 +174,8 @@ class Settings:
             )
         if self.loop_scale not in ("auto", "free", "fixed"):
             raise ConfigError(f"slam.loop_scale must be 'auto', 'free' or 'fixed', got {self.loop_scale!r}.")
+        if self.realtime_queue < 1:
+            raise ConfigError(f"slam.realtime_queue must be at least 1, got {self.realtime_queue}.")
         if self.full_ba_backend not in ("gtsam", "numba"):
             raise ConfigError(f"slam.full_ba_backend must be 'gtsam' or 'numba', got {self.full_ba_backend!r}.")
 

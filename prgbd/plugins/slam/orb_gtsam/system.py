@@ -25,6 +25,7 @@ from prgbd.plugins.slam.orb_gtsam.loop_closing import LoopCloser
 from prgbd.plugins.slam.orb_gtsam.map_file import load_map, save_map
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
+from prgbd.plugins.slam.orb_gtsam.realtime import RealtimeBackend
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -90,7 +91,11 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._near = Neighbourhoods(self._map, settings.covisible_weight)
         self._watch = Stopwatch()
         mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
-        self._backend = MappingBackend(mapper, self._watch)
+        self._backend = (
+            RealtimeBackend(mapper, self._watch, settings.realtime_queue)
+            if settings.realtime
+            else MappingBackend(mapper, self._watch)
+        )
         self._places = PlaceIndex(seed=seed)
         self._loops = self._close_loops(mapper, self._places, seed)
         least = settings.keypoints_to_start(camera.width, camera.height)
@@ -190,6 +195,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         """End the sequence; see ``GeometricSLAM.finish``."""
         self._require_ready()
         self._backend.drain()
+        self._backend.close()
         history, stats = self._frontend.history, dict[str, Any]()
         if self.settings.full_ba and not self.settings.localise_only:
             if self._rig.mono and self.settings.focal_length_sigma > 0:
