@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prgbd.plugins.slam.orb_gtsam.epipolar import match_along_epipolar_lines
 from prgbd.plugins.slam.orb_gtsam.feature_kernels import cell_order
 from prgbd.plugins.slam.orb_gtsam.features import GRID_CELL, Features
 from prgbd.plugins.slam.orb_gtsam.matching import (
     hamming,
-    match_along_epipolar_lines,
     match_by_descriptor,
     match_by_projection,
 )

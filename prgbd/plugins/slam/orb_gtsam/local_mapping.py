@@ -196,7 +196,7 @@ class LocalMapper:
                     world.set_pose(keyframe, result.cTw[i])
             world.points.xyz[points] = result.xyz
             self.drop_observations(seen[~result.inlier])
-            world.refresh(points[~world.points.bad[points]])
+            world.refresh(points[~world.points.bad[points]], descriptors=False)
 
     def _local_problem(self, k: int) -> tuple[IntArray, NDArray[np.bool_], IntArray, IntArray, Solver]:
         """Collect keyframes, which of them are fixed, points, observations, and the solver with a copy of them all."""

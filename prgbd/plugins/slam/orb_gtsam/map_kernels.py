@@ -172,36 +172,30 @@ def observations_of(following: np.ndarray, head: np.ndarray, points: np.ndarray,
 
 
 @numba.njit(cache=True, nogil=True)
-def refresh_points(
+def refresh_geometry(
     following: np.ndarray,
     head: np.ndarray,
     points: np.ndarray,
     capacity: int,
     centres: np.ndarray,
     octave: np.ndarray,
-    kf_descriptors: np.ndarray,
     scales: np.ndarray,
     reference: np.ndarray,
     xyz: np.ndarray,
     normal: np.ndarray,
     distance_range: np.ndarray,
-    descriptors: np.ndarray,
 ) -> None:
-    """Recompute viewing direction, range of distances and most typical descriptor of points.
+    """Recompute viewing direction and range of distances of points (MapPoint::UpdateNormalAndDepth).
 
-    The descriptor is the observed one with the least median distance to the others; the range spans the distances at
-    which the point's pyramid level at its reference keyframe stays inside the pyramid.
+    The range spans the distances at which the point's pyramid level at its reference keyframe stays inside the pyramid.
     """
     flat_next, flat_octave = following.reshape(-1), octave.reshape(-1)
-    flat_descriptors = kf_descriptors.reshape(-1, 4)
     top = len(scales) - 1
-    most = 32  # more observations make no better descriptor
-    seen = np.empty(most, np.int64)
-    distance = np.empty((most, most), np.int64)
     for p in points:
-        n, total = 0, 0
         nx, ny, nz = 0.0, 0.0, 0.0
         at = head[p]
+        if at < 0:
+            continue
         anchor = at
         while at >= 0:
             k = at // capacity
@@ -210,13 +204,7 @@ def refresh_points(
             dx, dy, dz = xyz[p, 0] - centres[k, 0], xyz[p, 1] - centres[k, 1], xyz[p, 2] - centres[k, 2]
             length = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-12
             nx, ny, nz = nx + dx / length, ny + dy / length, nz + dz / length
-            total += 1
-            if n < most:
-                seen[n] = at
-                n += 1
             at = flat_next[at]
-        if total == 0:
-            continue
         length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
         normal[p, 0], normal[p, 1], normal[p, 2] = nx / length, ny / length, nz / length
         k = anchor // capacity
@@ -225,14 +213,47 @@ def refresh_points(
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         distance_range[p, 1] = length * scales[flat_octave[anchor]]
         distance_range[p, 0] = distance_range[p, 1] / scales[top]
-        best, chosen = _FAR, 0
+
+
+@numba.njit(cache=True, nogil=True)
+def refresh_descriptors(
+    following: np.ndarray, head: np.ndarray, points: np.ndarray, kf_descriptors: np.ndarray, descriptors: np.ndarray
+) -> None:
+    """Give points the observed descriptor with the least median distance to the others."""
+    flat_next, flat_descriptors = following.reshape(-1), kf_descriptors.reshape(-1, 4)
+    most = 32  # more observations make no better descriptor
+    seen = np.empty(most, np.int64)
+    distance = np.zeros((most, most), np.int64)
+    for p in points:
+        n, at = 0, head[p]
+        while at >= 0 and n < most:
+            seen[n] = at
+            n += 1
+            at = flat_next[at]
+        if n == 0:
+            continue
         for i in range(n):
             distance[i, i] = 0
             for j in range(i):
                 d = hamming(flat_descriptors[seen[i]], flat_descriptors[seen[j]])
                 distance[i, j], distance[j, i] = d, d
-        for i in range(n):
-            median = np.sort(distance[i, :n])[(n - 1) // 2]
+        best, chosen = _FAR, 0
+        for i in range(n if n > 2 else 1):
+            median = _median(distance[i], n)
             if median < best:
                 best, chosen = median, i
-        descriptors[p] = flat_descriptors[seen[chosen]]
+        for i in range(4):
+            descriptors[p, i] = flat_descriptors[seen[chosen], i]
+
+
+@numba.njit(cache=True, nogil=True)
+def _median(values: np.ndarray, n: int) -> int:
+    """Return the (lower) median of the first ``n`` values, without sorting them in place."""
+    for i in range(n):
+        below, equal = 0, 0
+        for j in range(n):
+            below += values[j] < values[i]
+            equal += values[j] == values[i]
+        if below <= (n - 1) // 2 < below + equal:
+            return values[i]
+    return values[0]

@@ -324,21 +324,21 @@ class Map:
         """Return the points that any of some keyframes sees."""
         return kernels.points_seen_by(self.keyframes.point, np.ascontiguousarray(keyframes), self.points.count)
 
-    def refresh(self, points: IntArray) -> None:
-        """Recompute direction, distance range and descriptor of points."""
+    def refresh(self, points: IntArray, *, descriptors: bool = True) -> None:
+        """Recompute direction and distance range of points, and the descriptor, which only observations change."""
         kf, pts = self.keyframes, self.points
-        kernels.refresh_points(
+        kernels.refresh_geometry(
             kf.following,
             pts.head,
             points,
             self.capacity,
             kf.centre,
             kf.octave,
-            kf.descriptor,
             self.scales,
             pts.reference,
             pts.xyz,
             pts.normal,
             pts.distance_range,
-            pts.descriptor,
         )
+        if descriptors:
+            kernels.refresh_descriptors(kf.following, pts.head, points, kf.descriptor, pts.descriptor)

@@ -1,4 +1,4 @@
-"""Matching of ORB descriptors: by projection within windows, by descriptor alone, and along epipolar lines."""
+"""Matching of ORB descriptors: by projection within windows and by descriptor alone."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def hamming(a: np.ndarray, b: np.ndarray) -> int:
 
 
 @numba.njit(cache=True, nogil=True)
-def _keep_common_rotation(match: np.ndarray, angles: np.ndarray, frame_angles: np.ndarray) -> None:
+def keep_common_rotation(match: np.ndarray, angles: np.ndarray, frame_angles: np.ndarray) -> None:
     """Undo matches whose rotation is not among the three commonest, in place."""
     counts = np.zeros(HISTOGRAM_BINS, np.int64)
     bins = np.full(len(match), -1, np.int64)
@@ -113,7 +113,7 @@ def _by_window(
             owner[best_index], owner_distance[best_index] = i, best
         match[i] = best_index
     if len(angles) > 0:
-        _keep_common_rotation(match, angles, frame_angles)
+        keep_common_rotation(match, angles, frame_angles)
     return match
 
 
@@ -200,7 +200,7 @@ def _brute_force(
             match[owner[index]] = -1
         owner[index], owner_distance[index] = i, best
         match[i] = index
-    _keep_common_rotation(match, angles, frame_angles)
+    keep_common_rotation(match, angles, frame_angles)
     return match
 
 
@@ -226,146 +226,3 @@ def match_by_descriptor(
     """
     matched: IntArray = _brute_force(descriptors, angles, frame.descriptor, frame.angle, limit, ratio)
     return matched
-
-
-@numba.njit(cache=True, nogil=True)
-def _best_on_line(
-    line: np.ndarray,
-    ends: np.ndarray,
-    descriptor: np.ndarray,
-    uv: np.ndarray,
-    octave: np.ndarray,
-    descriptors: np.ndarray,
-    cell_start: np.ndarray,
-    taken: np.ndarray,
-    columns: int,
-    cell: float,
-    epipole: np.ndarray,
-    scales: np.ndarray,
-    limit: int,
-) -> tuple[int, int, int]:
-    """Return the nearest descriptor along a line ``(a, b, c)`` of unit normal, its distance, and the second distance.
-
-    Only the cells that the line and its band pass through between the ends are visited.
-    """
-    a, b, c = line[0], line[1], line[2]
-    flat = abs(b) >= abs(a)
-    band = 2.0 * scales[-1] + 1.0
-    steps, across = columns, (len(cell_start) - 1) // columns
-    along0, along1 = ends[0], ends[2]
-    if not flat:
-        steps, across = across, steps
-        along0, along1 = ends[1], ends[3]
-    best, index, second = limit + 1, -1, _FAR
-    s0 = max(min(along0, along1) - band, 0.0)
-    s1 = min(max(along0, along1) + band, steps * cell - 1.0)
-    if not s0 <= s1:
-        return index, best, second
-    for s in range(int(s0 / cell), int(s1 / cell) + 1):
-        t0, t1 = s * cell, (s + 1) * cell
-        p0 = -(a * t0 + c) / b if flat else -(b * t0 + c) / a
-        p1 = -(a * t1 + c) / b if flat else -(b * t1 + c) / a
-        low, high = min(p0, p1) - band, max(p0, p1) + band
-        if high < 0 or low >= across * cell:
-            continue
-        for k in range(max(int(low / cell), 0), min(int(high / cell), across - 1) + 1):
-            here = k * columns + s if flat else s * columns + k
-            for j in range(cell_start[here], cell_start[here + 1]):
-                scale = scales[octave[j]]
-                distance = a * uv[j, 0] + b * uv[j, 1] + c
-                if taken[j] or distance * distance >= 3.84 * scale * scale:
-                    continue
-                ex, ey = epipole[0] - uv[j, 0], epipole[1] - uv[j, 1]
-                if ex * ex + ey * ey < 100.0 * scale:
-                    continue
-                d = hamming(descriptor, descriptors[j])
-                same_level = index >= 0 and octave[index] == octave[j]
-                if d < best:
-                    second = best if same_level else _FAR
-                    best, index = d, j
-                elif d < second and same_level:
-                    second = d
-    return index, best, second
-
-
-@numba.njit(cache=True, nogil=True)
-def match_along_epipolar_lines(
-    rows: np.ndarray,
-    uv1: np.ndarray,
-    descriptors1: np.ndarray,
-    angles1: np.ndarray,
-    uv2: np.ndarray,
-    octave2: np.ndarray,
-    descriptors2: np.ndarray,
-    angles2: np.ndarray,
-    cell_start: np.ndarray,
-    taken: np.ndarray,
-    columns: int,
-    cell: float,
-    F: np.ndarray,
-    ends: np.ndarray,
-    epipole: np.ndarray,
-    scales: np.ndarray,
-    limit: int,
-    ratio: float,
-) -> np.ndarray:
-    """Match keypoints of one keyframe to those of another that lie on their epipolar lines.
-
-    Args:
-        rows: (M,) int64 keypoints of the first keyframe to match.
-        uv1: (N1, 2) float32 pixels.
-        descriptors1: (N1, 4) uint64.
-        angles1: (N1,) float32 degrees.
-        uv2: (N2, 2) float32 pixels.
-        octave2: (N2,) int32.
-        descriptors2: (N2, 4) uint64.
-        angles2: (N2,) float32 degrees.
-        cell_start: First keypoint of every grid cell of the second keyframe.
-        taken: (N2,) bool keypoints that may not match.
-        columns: Grid cells per row.
-        cell: Side of a cell, pixels.
-        F: (3, 3) fundamental matrix, ``x2' F x1 = 0``.
-        ends: (M, 4) the pixels ``u, v, u, v`` in the second image between which a partner may lie.
-        epipole: (2,) pixel of the first camera's centre in the second image; nearby keypoints are skipped.
-        scales: (levels,) scale of every pyramid level.
-        limit: Largest Hamming distance.
-        ratio: Largest ratio between the best distance and the second one at the same level elsewhere on the line.
-
-    Returns:
-        (M,) int64 keypoint of the second keyframe, -1 for none.
-    """
-    match = np.full(len(rows), -1, np.int64)
-    owner = np.full(len(uv2), -1, np.int64)
-    owner_distance = np.full(len(uv2), _FAR, np.int64)
-    line = np.empty(3)
-    for i in range(len(rows)):
-        x, y = np.float64(uv1[rows[i], 0]), np.float64(uv1[rows[i], 1])
-        for r in range(3):
-            line[r] = F[r, 0] * x + F[r, 1] * y + F[r, 2]
-        norm = np.sqrt(line[0] * line[0] + line[1] * line[1])
-        if norm < 1e-12:
-            continue
-        line /= norm
-        index, best, second = _best_on_line(
-            line,
-            ends[i],
-            descriptors1[rows[i]],
-            uv2,
-            octave2,
-            descriptors2,
-            cell_start,
-            taken,
-            columns,
-            cell,
-            epipole,
-            scales,
-            limit,
-        )
-        if index < 0 or best > ratio * second or best >= owner_distance[index]:
-            continue
-        if owner[index] >= 0:
-            match[owner[index]] = -1
-        owner[index], owner_distance[index] = i, best
-        match[i] = index
-    _keep_common_rotation(match, angles1[rows], angles2)
-    return match
