@@ -108,6 +108,12 @@ def load_map(world: Map, rig: Rig, path: Path | str) -> None:
     _order_maps(world)
 
 
+def loaded_keyframes(world: Map) -> int:
+    """Return how many keyframes of earlier recordings are in the map."""
+    kf = world.keyframes
+    return int(np.count_nonzero(~kf.bad[: kf.count] & (kf.frame_index[: kf.count] < 0)))
+
+
 def _fill(world: Map, arrays: dict[str, NDArray[Any]]) -> None:
     kf, pts = world.keyframes, world.points
     size = arrays["keyframes.size"]

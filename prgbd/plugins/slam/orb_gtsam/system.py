@@ -22,7 +22,7 @@ from prgbd.plugins.slam.orb_gtsam.initialisation import DepthStarter, Starter
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.loop_closing import LoopCloser
-from prgbd.plugins.slam.orb_gtsam.map_file import load_map, save_map
+from prgbd.plugins.slam.orb_gtsam.map_file import load_map, loaded_keyframes, save_map
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
 from prgbd.plugins.slam.orb_gtsam.realtime import RealtimeBackend
@@ -207,6 +207,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         stats["loops"] = self._loops.loops
         stats["stages_ms"] = self._watch.statistics()
         stats["maps"] = len(self._map.map_ids())
+        stats["loaded_keyframes"] = loaded_keyframes(self._map)
         stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
         stats["depth_ratio"] = [None if np.isnan(r) else round(r, 4) for r in self._frontend.depth_ratios]
         stats["baseline"] = self._rig.baseline
