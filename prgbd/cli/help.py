@@ -38,7 +38,7 @@ OPTIONS = (
     ("out=FOLDER", "where the run is written; outputs/DATE/TIME unless given"),
     ("resume=FOLDER", "go on with that run (resume=last: the newest unfinished one)"),
     ("task.max_loops=3", "refinements of the network at most; fewer if nothing improves"),
-    ("slam.mode=auto", "auto, mono, rgbd (the sensor's depth) or pseudo_rgbd (the network's depth)"),
+    ("slam.mode=auto", "auto, mono, rgbd (the sensor's depth), stereo (right images) or pseudo_rgbd (the network)"),
     (
         "slam.baseline=auto",
         "metres; auto adapts the virtual baseline to the network's depth: 0.54 / 80 * largest depth",

@@ -147,7 +147,12 @@ def _note_overrides(folder: Path, overrides: list[str]) -> None:
 
 def _facts(job: Job) -> dict[str, Any]:
     parts, config = job.parts, job.config
-    source = {"mono": "none (monocular)", "rgbd": "the recording's own sensor", "pseudo_rgbd": "the network"}
+    source = {
+        "mono": "none (monocular)",
+        "rgbd": "the recording's own sensor",
+        "stereo": "the right images",
+        "pseudo_rgbd": "the network",
+    }
     names = ", ".join(f"{s.name} ({len(s)} frames)" for s in parts.sequences[:6])
     more = len(parts.sequences) - 6
     facts = {

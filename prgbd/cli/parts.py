@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # What the loop, and not the plug-in, reads from a plug-in's node.
 LOOP_KEYS = {"slam": ("mode", "baseline", "load_map", "save_map"), "depth": (), "data": ("sequences", "test_sequences")}
-MODES = ("auto", "mono", "rgbd", "pseudo_rgbd")
+MODES = ("auto", "mono", "rgbd", "stereo", "pseudo_rgbd")
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Parts:
         test_sequences: Recordings that are evaluated but not trained on.
         estimator: The depth network, where the task uses one.
         make_slam: Makes a SLAM system, where the task uses one.
-        mode: ``mono``, ``rgbd`` (the sensor's depth) or ``pseudo_rgbd`` (the network's depth).
+        mode: ``mono``, ``rgbd`` (the sensor's depth), ``stereo`` or ``pseudo_rgbd`` (the network's depth).
         baseline: The baseline that the user fixed, metres, or None.
     """
 

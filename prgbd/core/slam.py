@@ -85,7 +85,7 @@ class GeometricSLAM(ABC):
         """Forget everything and get ready for a sequence.
 
         Args:
-            camera: Camera of the frames, undistorted.
+            camera: Camera of the frames; without distortion, unless the system says that it undistorts by itself.
             mode: One of ``modes``.
             baseline: Metres between the (virtual) stereo pair; needed for ``rgbd`` and ``stereo``, None for ``mono``.
             fps: Frame rate, for the keyframe decision.

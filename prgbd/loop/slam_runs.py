@@ -64,15 +64,22 @@ def sensor_input(sequence: Sequence, mode: str, baseline: float | None) -> SlamI
 
     Args:
         sequence: The recording.
-        mode: ``rgbd`` for the depth of its own sensor, or ``mono``.
-        baseline: Metres that the user fixed; None takes the recording's own, else the Kinect's 0.08 m.
+        mode: ``rgbd`` for the depth of its own sensor, ``stereo`` for its right images, or ``mono``.
+        baseline: Metres that the user fixed; None takes the recording's own, else the Kinect's 0.08 m (``rgbd``).
 
     Raises:
-        DataError: If ``rgbd`` is asked of a recording without depth.
+        DataError: If ``rgbd`` is asked of a recording without depth, or ``stereo`` of one without right images.
     """
     frames = (sequence.frame(index) for index in range(len(sequence)))
     if mode == "mono":
         return SlamInput((frame.with_depth(None) for frame in frames), mode)
+    if mode == "stereo":
+        if sequence.frame(0).right is None or not (baseline or sequence.baseline):
+            raise DataError(
+                f"The sequence '{sequence.name}' has no right images with a known baseline, which slam.mode=stereo "
+                "needs; use slam.mode=mono."
+            )
+        return SlamInput((frame.with_depth(None) for frame in frames), mode, baseline or sequence.baseline)
     if sequence.frame(0).depth is None:
         raise DataError(
             f"The sequence '{sequence.name}' has no depth sensor, which slam.mode=rgbd needs; use slam.mode=mono, or "

@@ -17,7 +17,7 @@ from prgbd.loop.self_improving import SelfImprovingLoop, step_name
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
 from prgbd.loop.summary import write_summary, write_truth
 
-NAMES = {"mono": "RGB", "rgbd": "RGB-D"}
+NAMES = {"mono": "RGB", "rgbd": "RGB-D", "stereo": "Stereo"}
 
 
 def run(job: Job) -> None:

@@ -58,13 +58,10 @@ def test_the_number_of_features_follows_the_image() -> None:
 
 def test_reset_refuses_what_cannot_work() -> None:
     system, camera = OrbGtsamSLAM(), PinholeCamera.from_fov(320, 240, 60.0)
-    with pytest.raises(ConfigError, match="stereo"):
-        system.reset(camera, "stereo", baseline=0.1)
+    with pytest.raises(ConfigError, match="radar"):
+        system.reset(camera, "radar", baseline=0.1)
     for baseline in (None, 0.0, -1.0, float("nan")):
         with pytest.raises(ConfigError, match="baseline"):
             system.reset(camera, "rgbd", baseline=baseline)
     with pytest.raises(ConfigError, match="frame rate"):
         system.reset(camera, "mono", fps=0.0)
-    distorted = PinholeCamera(320, 240, 300.0, 300.0, 160.0, 120.0, (0.1, 0.0, 0.0, 0.0))
-    with pytest.raises(ConfigError, match="distortion"):
-        system.reset(distorted, "mono")

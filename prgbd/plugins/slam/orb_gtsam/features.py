@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +21,8 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 # Corners keep this far from the border of their level, so that patch and descriptor lie inside it.
 EDGE = 19
 GRID_CELL = 20.0
+
+Undistort = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.bool_]]]
 
 # Pixels, angles, descriptors and levels of the keypoints of one pyramid level.
 _Level = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint64], NDArray[np.int32]]
@@ -86,9 +89,17 @@ class OrbExtractor:
         # Every fourth pixel being a local maximum is more than an image can hold.
         self._xy = np.empty((width * height // 4 + 1, 2), np.int32)
         self._score = np.empty(len(self._xy), np.int32)
+        # Grey levels of the last image, finest first.
+        self.pyramid: list[NDArray[np.uint8]] = []
 
     def extract(
-        self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None, bf: float, trusted: float = np.inf
+        self,
+        image: NDArray[np.uint8],
+        depth: NDArray[np.float32] | None,
+        bf: float,
+        trusted: float = np.inf,
+        *,
+        undistort: Undistort | None = None,
     ) -> Features:
         """Find the features of an image.
 
@@ -97,6 +108,8 @@ class OrbExtractor:
             depth: (H, W) float32 metres, 0 where unknown, or None.
             bf: Baseline times fx, metres times pixels, of the (virtual) stereo pair.
             trusted: Depths beyond give no right column.
+            undistort: Moves keypoints to an ideal camera and says which lie within its image; depth and colour are
+                read where the keypoint was found.
 
         Returns:
             At most ``capacity`` features.
@@ -104,16 +117,21 @@ class OrbExtractor:
         gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         parts: list[_Level] = [_NOTHING]
         level: NDArray[np.uint8] = np.asarray(gray, np.uint8)
+        self.pyramid = []
         for octave, size in enumerate(self._sizes):
             if min(size) <= 2 * EDGE + 2:
                 break
             if octave:
                 level = np.asarray(cv2.resize(level, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+            self.pyramid.append(level)
             parts.append(self._extract_level(level, octave))
-        uv = np.concatenate([p[0] for p in parts])
+        raw = np.concatenate([p[0] for p in parts])
+        uv, inside = (raw, None) if undistort is None else undistort(raw)
         order, start = cell_order(uv, self.columns, self.rows, GRID_CELL)
+        if inside is not None:
+            order, start = _only(inside, order, start)
         uv = np.ascontiguousarray(uv[order])
-        pixel = np.rint(uv).astype(np.int64)
+        pixel = np.rint(raw[order]).astype(np.int64)
         u = np.clip(pixel[:, 0], 0, self.width - 1)
         v = np.clip(pixel[:, 1], 0, self.height - 1)
         measured = np.zeros(len(uv), np.float32) if depth is None else depth[v, u].astype(np.float32)
@@ -156,3 +174,12 @@ class OrbExtractor:
         uv = ((xy + 0.5) * scale - 0.5).astype(np.float32)
         descriptor = np.ascontiguousarray(bits).view(np.uint64).reshape(-1, 4)
         return uv, angle, descriptor, np.full(len(uv), octave, np.int32)
+
+
+def _only(
+    inside: NDArray[np.bool_], order: NDArray[np.int64], start: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Leave keypoints out of an order by cells."""
+    kept = inside[order]
+    before = np.concatenate([[0], np.cumsum(kept)]).astype(np.int32)
+    return order[kept], before[start]

@@ -94,7 +94,7 @@ class History:
         at, keypoint, point = seen[order].T
         return SlamResult(
             camera=rig.camera,
-            mode="mono" if rig.mono else "rgbd",
+            mode=rig.mode,
             frames=len(self.states),
             trajectory=self.trajectory(world),
             keyframes=Keyframes(

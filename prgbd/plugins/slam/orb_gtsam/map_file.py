@@ -46,7 +46,7 @@ def save_map(world: Map, rig: Rig, given: PinholeCamera, settings: Settings, pat
         "format": FORMAT,
         "camera": rig.camera.to_dict(),
         "given_camera": given.to_dict(),
-        "mode": "mono" if rig.mono else "rgbd",
+        "mode": rig.mode,
         "baseline": rig.baseline,
         "scales": rig.scales,
         "settings": asdict(settings),
@@ -96,7 +96,7 @@ def load_map(world: Map, rig: Rig, path: Path | str) -> None:
     refined = header["camera"]
     rig.camera = replace(rig.camera, fx=refined["fx"], fy=refined["fy"])
     kf = world.keyframes
-    if header["mode"] == "rgbd" and header["baseline"] != rig.baseline:
+    if header["mode"] != "mono" and header["baseline"] != rig.baseline:
         # The right column is virtual: it follows the baseline of the present recording.
         measured = kf.u_right[: kf.count] >= 0
         measured &= kf.depth[: kf.count] > 0
@@ -189,7 +189,7 @@ def _require_fit(path: Path, header: dict[str, Any], arrays: dict[str, NDArray[A
             for c in (then, now)
         )
         raise ConfigError(f"The map {path} and the recording have different cameras, {shown}; use the same camera.")
-    mode = "mono" if rig.mono else "rgbd"
+    mode = rig.mode
     if header["mode"] != mode:
         raise ConfigError(f"The map {path} was made in mode {header['mode']}, not {mode}; set slam.mode to the same.")
     if not np.array_equal(header["scales"], rig.scales):

@@ -27,6 +27,7 @@ class Rig:
         scales: (levels,) scale of every pyramid level.
         columns: Grid cells per row.
         trusted_depth: Depths beyond make no stereo observation; infinite by default.
+        stereo: Whether depth comes from a real right image.
     """
 
     camera: PinholeCamera
@@ -36,6 +37,12 @@ class Rig:
     scales: FloatArray
     columns: int
     trusted_depth: float = np.inf
+    stereo: bool = False
+
+    @property
+    def mode(self) -> str:
+        """``mono``, ``rgbd`` or ``stereo``."""
+        return "stereo" if self.stereo else "mono" if self.mono else "rgbd"
 
     @property
     def bf(self) -> float:

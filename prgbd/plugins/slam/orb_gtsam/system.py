@@ -14,7 +14,7 @@ from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
 from prgbd.plugins.slam.orb_gtsam.diagnostics import map_sizes, view_of
-from prgbd.plugins.slam.orb_gtsam.features import OrbExtractor
+from prgbd.plugins.slam.orb_gtsam.frame_features import FrameReader
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.frontend import FrontEnd
 from prgbd.plugins.slam.orb_gtsam.global_adjustment import adjust_map
@@ -37,7 +37,8 @@ from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
 class OrbGtsamSLAM(GeometricSLAM):
     """ORB-SLAM2's ideas in Python: numba for what runs per feature, GTSAM for the whole map.
 
-    The mapper runs in step with the tracker and everything is seeded, so equal input gives equal output.
+    Images of a distorted camera are taken as they are: keypoints are undistorted, and the result's camera has no
+    distortion. The mapper runs in step with the tracker and everything is seeded, so equal input gives equal output.
 
     Args:
         **options: Any field of ``Settings``.
@@ -46,7 +47,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         ConfigError: If an option does not exist or has a value that cannot work.
     """
 
-    modes: ClassVar[frozenset[str]] = frozenset({"mono", "rgbd"})
+    modes: ClassVar[frozenset[str]] = frozenset({"mono", "rgbd", "stereo"})
 
     def __init__(self, **options: Any) -> None:
         self.settings = Settings.from_options(options)
@@ -66,28 +67,25 @@ class OrbGtsamSLAM(GeometricSLAM):
             raise ConfigError(f"Mode '{mode}' needs a positive baseline in metres, got {baseline}; set slam.baseline.")
         if not np.isfinite(fps) or fps <= 0:
             raise ConfigError(f"The frame rate must be positive, got {fps}; set data.fps.")
-        if any(camera.distortion):
-            raise ConfigError(
-                "orb_gtsam takes undistorted images, but the camera has distortion; undistort the frames and pass "
-                "camera.undistorted()."
-            )
         self.close()
         announce_compilation()
         settings = self.settings
         self._given = camera
-        self._extractor = OrbExtractor(settings, camera.width, camera.height)
+        self._reader = FrameReader(settings, camera, mode)
+        extractor = self._reader.left
         near = 0.0 if mode == "mono" else float(baseline or 0.0)
         self._rig = Rig(
-            camera,
+            camera.undistorted(),
             mode == "mono",
             near,
             near * settings.close_depth,
             settings.scales(),
-            self._extractor.columns,
+            extractor.columns,
             near * settings.depth_trust if settings.depth_trust > 0 else np.inf,
+            stereo=mode == "stereo",
         )
-        cells = self._extractor.columns * self._extractor.rows
-        self._map = Map(self._extractor.capacity, cells, self._rig.scales)
+        cells = extractor.columns * extractor.rows
+        self._map = Map(extractor.capacity, cells, self._rig.scales)
         self._near = Neighbourhoods(self._map, settings.covisible_weight)
         self._watch = Stopwatch()
         mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
@@ -113,12 +111,11 @@ class OrbGtsamSLAM(GeometricSLAM):
             ContractError: If the frame does not fit the camera, lacks depth, or ``reset`` was not called.
         """
         self._require_ready()
-        self._check(frame)
+        self._reader.check(frame)
         if self.settings.localise_only and not self._map.keyframes.count:
             raise ConfigError("slam.localise_only=true needs a map to localise in; give slam.load_map=FILE.")
         with self._watch("features"):
-            depth = None if self._rig.mono else frame.depth
-            features = self._extractor.extract(frame.image, depth, self._rig.bf, self._rig.trusted_depth)
+            features = self._reader.read(frame, self._rig)
         self._backend.check()
         with self._watch("frame_total"):
             with self._map.lock:
@@ -165,18 +162,6 @@ class OrbGtsamSLAM(GeometricSLAM):
                     self._places.add(k, self._map.features(k).descriptor)
             self._frontend.enter()
 
-    def _check(self, frame: Frame) -> None:
-        camera = self._rig.camera
-        shape = (camera.height, camera.width)
-        if frame.image.shape != (*shape, 3) or frame.image.dtype != np.uint8:
-            raise ContractError(
-                f"Frame {frame.index} has an image {frame.image.shape} {frame.image.dtype}; the camera asks for "
-                f"{(*shape, 3)} uint8 RGB."
-            )
-        if not self._rig.mono and (frame.depth is None or frame.depth.shape != shape):
-            found = None if frame.depth is None else frame.depth.shape
-            raise ContractError(f"Frame {frame.index} has depth {found}, but mode 'rgbd' needs {shape}; use 'mono'.")
-
     def _close_loops(self, mapper: LocalMapper, places: PlaceIndex, seed: int) -> LoopCloser:
         """Make the loop closer, and have it see every keyframe that was mapped unless it is switched off."""
         closer = LoopCloser(self.settings, self._rig, self._map, self._near, mapper, places, seed)
@@ -219,7 +204,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         """Stop the mapper and free the map."""
         if "_backend" in self.__dict__:
             self._backend.close()
-        for name in ("_map", "_backend", "_frontend", "_extractor", "_near"):
+        for name in ("_map", "_backend", "_frontend", "_reader", "_near"):
             self.__dict__.pop(name, None)
         self._ready = False
 
