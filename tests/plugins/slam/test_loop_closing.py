@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from prgbd.core.slam import TrackingState
 from prgbd.plugins.slam.orb_gtsam.history import History
 from prgbd.plugins.slam.orb_gtsam.lie import exp_se3, inverse
-from prgbd.plugins.slam.orb_gtsam.loop_correction import essential_edges
+from prgbd.plugins.slam.orb_gtsam.loop_correction import essential_edges, solve_loop
+from prgbd.plugins.slam.orb_gtsam.loop_verification import Loop
 from prgbd.plugins.slam.orb_gtsam.similarity import align
 from tests.plugins.slam.ring import LAP, Ring, true_pose
 
@@ -111,6 +114,20 @@ def test_a_fixed_scale_refuses_what_fits_only_in_another_size() -> None:
     ring = Ring(drift=(0.004, 0.0))
     object.__setattr__(ring.settings, "loop_scale", "fixed")
     assert go_round(ring, range(LAP + 8)) == []
+
+
+@pytest.mark.parametrize("free_scale", [True, False])
+def test_a_loop_that_all_the_rest_contradicts_is_refused(free_scale: bool) -> None:
+    ring = Ring(mono=free_scale)
+    for step in range(30):
+        ring.drive(step)
+    kf = ring.world.keyframes
+    none = np.zeros(0, np.int64)
+    true = Loop(29, 5, kf.cTw[29].copy(), 1.0, none, none, free_scale)
+    assert solve_loop(ring.world, true, [], 100) is not None
+    # Keyframe 29, a quarter of the ring on, is said to be where keyframe 5 is.
+    false = dataclasses.replace(true, cTw=kf.cTw[5].copy())
+    assert solve_loop(ring.world, false, [], 100) is None
 
 
 def test_a_place_must_be_proposed_several_times_in_a_row() -> None:

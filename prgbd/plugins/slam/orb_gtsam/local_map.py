@@ -39,10 +39,14 @@ class LocalMap:
 
 
 class Neighbourhoods:
-    """Remembers covisible keyframes between two changes of the map."""
+    """Remembers covisible keyframes between two changes of the map.
+
+    Attributes:
+        least: Common points that make two keyframes neighbours.
+    """
 
     def __init__(self, world: Map, least: int) -> None:
-        self._world, self._least = world, least
+        self._world, self.least = world, least
         self._known: dict[int, IntArray] = {}
 
     def clear(self) -> None:
@@ -52,7 +56,7 @@ class Neighbourhoods:
     def of(self, k: int) -> IntArray:
         """Return the keyframes covisible with ``k``, most common points first."""
         if k not in self._known:
-            self._known[k] = self._world.covisible(k, self._least)[0]
+            self._known[k] = self._world.covisible(k, self.least)[0]
         return self._known[k]
 
 

@@ -59,8 +59,7 @@ class LoopCloser:
         if kf.bad[k] or k - self._last < self.settings.loop_min_interval:
             return False
         start = time.perf_counter()
-        with self.world.lock:
-            loop = self._find(k)
+        loop = self._find(k)
         if loop is None:
             return False
         other = int(kf.map_id[loop.candidate])
@@ -73,7 +72,9 @@ class LoopCloser:
             "scale": loop.scale,
             "kind": "merge" if merge else "loop",
         }
-        self._close(loop, merge)
+        if not self._close(loop, merge):
+            log.info("Refused a loop of frame %d with frame %d.", note["frame"], note["loop_frame"])
+            return False
         self._last = k
         self._detector.forget()
         note["ms"] = 1000.0 * (time.perf_counter() - start)
@@ -84,18 +85,24 @@ class LoopCloser:
         return True
 
     def _find(self, k: int) -> Loop | None:
-        for candidate in self._detector.propose(k):
-            loop = self._verifier.verify(k, candidate)
+        with self.world.lock:
+            candidates = self._detector.propose(k)
+        for candidate in candidates:
+            with self.world.lock:
+                loop = self._verifier.verify(k, candidate)
             if loop is not None:
                 return loop
         return None
 
-    def _close(self, loop: Loop, merge: bool) -> None:
+    def _close(self, loop: Loop, merge: bool) -> bool:
+        """Correct the map; returns whether the rest of the map admits it."""
         world, kf = self.world, self.world.keyframes
         # Only the mapper's side moves keyframes, so the graph may be solved while the tracker goes on.
         correction = (
             move_map(world, loop) if merge else solve_loop(world, loop, self._closed, self.settings.essential_weight)
         )
+        if correction is None:
+            return False
         with world.lock:
             apply(world, loop.k, correction)
             if merge:
@@ -108,3 +115,4 @@ class LoopCloser:
             adjust_map(world, self.rig, self.settings, self.mapper, only=int(kf.map_id[loop.k]), backend="numba")
         with world.lock:
             self.near.clear()
+        return True

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.fusion import fuse_into
-from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.lie import inverse, log_se3
 from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.loop_verification import Loop, relative_pose
 from prgbd.plugins.slam.orb_gtsam.map_correction import Correction
@@ -21,8 +21,10 @@ FloatArray = NDArray[np.float64]
 # Standard deviations of an edge between neighbours: radians, share of its length, log of scale. They tell how the
 # correction is shared between turning, moving and scaling; drift grows with the square root of the edges.
 _EDGE_SIGMAS = (0.01, 0.05, 0.03)
-# The same of a loop edge, which many points measured at once; its length is that of a typical edge.
+# The same of a loop edge, which many points measured at once.
 _LOOP_SIGMAS = (0.002, 0.02, 0.005)
+# A loop edge that the solution misses by this many standard deviations was refused by the robust weighting.
+_REFUSED = 6.0
 # Neighbours on either side of a loop whose points are fused.
 _FUSED = 20
 
@@ -46,14 +48,19 @@ def essential_edges(world: Map, keyframes: IntArray, weight: int) -> tuple[IntAr
     return np.array(later, np.int64), np.array(earlier, np.int64)
 
 
-def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int) -> Correction:
+def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int) -> Correction | None:
     """Spread the error that a loop shows over its map by the essential graph; the map stays as it is.
+
+    Loop edges are weighed robustly: what the rest of the graph contradicts beyond its uncertainty is refused.
 
     Args:
         world: The map.
         loop: The loop, within one map.
         earlier_loops: Pairs of keyframes that earlier loops joined.
         weight: Common points of a strong edge.
+
+    Returns:
+        The new poses, or None if the loop was refused.
     """
     kf = world.keyframes
     keyframes = world.alive(int(kf.map_id[loop.k]))
@@ -62,29 +69,39 @@ def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], wei
     j, i = essential_edges(world, keyframes, weight)
     kept = np.array([[world.successor(n) for n in pair] for pair in earlier_loops], np.int64).reshape(-1, 2)
     kept = kept[kept[:, 0] != kept[:, 1]]
-    i, j = np.concatenate([i, kept[:, 1]]), np.concatenate([j, kept[:, 0]])
+    i, j = np.concatenate([i, kept[:, 1], [loop.candidate]]), np.concatenate([j, kept[:, 0], [loop.k]])
+    is_loop = np.arange(len(i)) >= len(i) - 1 - len(kept)
     wTc = inverse(kf.cTw[keyframes])
     i, j = column[i], column[j]
     iTj = inverse(wTc[i]) @ wTc[j]
-    length = np.linalg.norm(iTj[:, :3, 3], axis=1)
-    typical = float(np.median(length)) + 1e-9
-    sigmas = np.concatenate(
-        [_sigmas(np.maximum(length, typical), _EDGE_SIGMAS), _sigmas(np.array([typical]), _LOOP_SIGMAS)]
-    )
+    iTj[-1] = relative_pose(loop, world)
+    ratio = np.ones(len(i))
+    ratio[-1] = 1.0 / loop.scale
+    sigmas = _sigmas(np.linalg.norm(iTj[:, :3, 3], axis=1), is_loop)
     poses, scale = optimise_pose_graph(
         wTc,
-        np.append(i, column[loop.candidate]),
-        np.append(j, column[loop.k]),
-        np.concatenate([iTj, relative_pose(loop, world)[None]]),
+        i,
+        j,
+        iTj,
         sigmas if loop.free_scale else np.ascontiguousarray(sigmas[:, :6]),
-        scales=np.append(np.ones(len(i)), 1.0 / loop.scale) if loop.free_scale else None,
+        scales=ratio if loop.free_scale else None,
+        robust=is_loop,
     )
-    return Correction(keyframes, poses, scale)
+    reached = inverse(poses[i[-1]]) @ poses[j[-1]]
+    reached[:3, 3] /= scale[i[-1]]
+    error = np.append(log_se3(inverse(iTj[-1]) @ reached), np.log(scale[j[-1]] / scale[i[-1]] / ratio[-1]))
+    if not loop.free_scale:
+        error[6] = 0.0
+    return Correction(keyframes, poses, scale) if np.linalg.norm(error / sigmas[-1]) < _REFUSED else None
 
 
-def _sigmas(length: FloatArray, sigmas: tuple[float, float, float]) -> FloatArray:
+def _sigmas(length: FloatArray, is_loop: NDArray[np.bool_]) -> FloatArray:
+    """Return the standard deviations (E, 7) of edges of these lengths."""
+    typical = float(np.median(length[~is_loop])) + 1e-9
     out = np.empty((len(length), 7))
-    out[:, :3], out[:, 3:6], out[:, 6] = sigmas[0], sigmas[1] * length[:, None], sigmas[2]
+    for chosen, (turn, share, scale) in ((~is_loop, _EDGE_SIGMAS), (is_loop, _LOOP_SIGMAS)):
+        out[chosen, :3], out[chosen, 6] = turn, scale
+        out[chosen, 3:6] = share * np.maximum(length[chosen], typical)[:, None]
     return out
 
 

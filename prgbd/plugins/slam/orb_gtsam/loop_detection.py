@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 # sum that a candidate needs.
 _GROUP, _SHARE_OF_BEST = 10, 0.75
 # Candidates that are looked at, best first: those behind them never pass the share of the best.
-_CANDIDATES = 30
+_CANDIDATES = 10
 
 
 class Places(Protocol):
@@ -69,7 +69,7 @@ class LoopDetector:
     def _candidates(self, k: int) -> list[int]:
         """Return keyframes that look like ``k``, one of each neighbourhood, best first.
 
-        Those that share a neighbour with ``k`` are left out: the map is already joined there.
+        Those that share points with the neighbourhood of ``k`` are left out: the map is already joined there.
         """
         kf = self.world.keyframes
         around = self.near.of(k)
@@ -77,11 +77,10 @@ class LoopDetector:
         score = dict(zip(found.tolist(), scores.tolist(), strict=True))
         least = min((score.get(n, 0.0) for n in around.tolist()), default=0.0)
         other_map = kf.map_id[found] != kf.map_id[k]
-        apart = other_map | (np.abs(found - k) > self.apart)
+        shared = self.world.common(self.world.seen_by(np.append(around, k)))[found]
+        apart = other_map | ((np.abs(found - k) > self.apart) & (shared < self.near.least))
         allowed = found[~kf.bad[found] & apart & (scores >= least) & (scores > 0)][:_CANDIDATES]
-        connected = {k, *around.tolist()}
-        unconnected = [n for n in allowed.tolist() if connected.isdisjoint([n, *self.near.of(n).tolist()])]
-        return self._best_of_groups(unconnected, score)
+        return self._best_of_groups(allowed.tolist(), score)
 
     def _best_of_groups(self, candidates: list[int], score: dict[int, float]) -> list[int]:
         """Add the scores of covisible candidates; keep the best of each group that comes close to the best sum."""
