@@ -7,6 +7,12 @@ from prgbd.core.registry import REGISTRY, PluginSpec
 BUILT_IN = (
     ("depth", "monodepth2", "monodepth2:Monodepth2", "Monodepth2, ResNet-18; reads the official weight files"),
     ("depth", "rt_monodepth", "rt_monodepth:RTMonoDepth", "RT-MonoDepth-S, 1.2 M parameters, for slow machines"),
+    (
+        "depth",
+        "huggingface",
+        "huggingface:HuggingFaceDepth",
+        "any depth model of Transformers: Depth Anything, DPT, ...",
+    ),
     ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: mono, rgbd"),
     ("data", "synthetic", "synthetic:SyntheticSequence", "procedural street or indoor world with true poses and depth"),
     ("data", "kitti_odometry", "kitti_odometry:KittiOdometrySequence", "KITTI odometry sequences 00-21"),
@@ -16,7 +22,9 @@ BUILT_IN = (
     ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),
 )
 # The extra of pyproject.toml that a plug-in needs, and the modules that it brings.
-EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {}
+EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {
+    ("depth", "huggingface"): ("hf", ("transformers", "safetensors")),
+}
 
 for _kind, _id, _target, _description in BUILT_IN:
     _extra, _requires = EXTRAS.get((_kind, _id), ("", ()))

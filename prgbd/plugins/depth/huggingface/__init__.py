@@ -1,0 +1,5 @@
+"""Any depth model of the Transformers library."""
+
+from prgbd.plugins.depth.huggingface.network import HuggingFaceDepth
+
+__all__ = ["HuggingFaceDepth"]
