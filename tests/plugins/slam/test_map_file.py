@@ -117,6 +117,32 @@ def test_localising_only_changes_nothing(mapped) -> None:
         track(begin(mode, localise_only=True), frames)
 
 
+def test_an_unknown_place_becomes_a_second_map_and_both_are_kept(mapped, tmp_path) -> None:
+    mode, file, first = mapped
+    if mode == "mono":
+        pytest.skip("the same with more frames")
+    system = begin(mode, restart_after=3)
+    system.load_map(file)
+    elsewhere = np.eye(4)
+    elsewhere[0, 3] = 9.0
+    with system:
+        results = [system.track(view(n, elsewhere @ POSES[n])) for n in range(8)]
+        found = system.finish()
+        system.save_map(tmp_path / "two.npz")
+    assert found.states == ["lost"] * 2 + ["ok"] * 6
+    assert [r.info["maps"] for r in results] == [1] * 2 + [2] * 6
+    assert found.stats["loaded_keyframes"] == len(first.keyframes)
+    assert len(np.unique(found.keyframes.map_id)) == 1
+    # The larger of the two is the one to start in.
+    again = begin(mode)
+    again.load_map(tmp_path / "two.npz")
+    assert len(again._map.map_ids()) == 2
+    assert len(again._map.alive()) == len(first.keyframes)
+    third = track(again, frames_of(SECOND[:6]))
+    assert set(third.states) == {"ok"}
+    assert errors_in_the_map(mode, first, third, FIRST).max() < 0.03
+
+
 def blank_depth() -> np.ndarray:
     return np.zeros((CAMERA.height, CAMERA.width), np.float32)
 
