@@ -46,8 +46,10 @@ def needs_keyframe(
     overdue = since_last >= fps
     mapper_is_ready = since_last >= settings.keyframe_min_interval
     weak = not rig.mono and (inliers < _WEAK_SHARE * expected or needs_close)
+    # A map that grows too slowly for the motion has few points that three keyframes see, so little is expected.
+    thin = rig.mono and inliers < settings.keyframe_thin_mono * len(frame.features)
     due = overdue or mapper_is_ready or weak
-    return due and (inliers < ratio * expected or needs_close) and inliers > settings.keyframe_min_inliers
+    return due and (inliers < ratio * expected or needs_close or thin) and inliers > settings.keyframe_min_inliers
 
 
 def _needs_close_points(rig: Rig, settings: Settings, frame: TrackedFrame) -> bool:

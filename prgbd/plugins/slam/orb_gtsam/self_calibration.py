@@ -40,7 +40,7 @@ class FocalLength:
 
     Attributes:
         factor: Best focal length over that before.
-        deviation: Its standard deviation, from the curvature of the cost.
+        deviation: Its standard deviation, from the curvature of the cost and the spread of the errors.
         rounds: Bundle adjustments that it took.
     """
 
@@ -56,6 +56,8 @@ class _Search:
         self.problem, self.given, self.sigma = problem, given, sigma
         self.focal = problem.camera[:2].copy()
         self.rounds = 0
+        # Variance of the errors over the assumed one; keypoints are placed better than a pixel, so it is below 1.
+        self._excess = 1.0
 
     def slope(self, factor: float) -> float:
         """Adjust the map at this focal length and return the derivative of the least cost by the factor.
@@ -75,7 +77,15 @@ class _Search:
         chi2 = np.maximum(weight * (error**2).sum(axis=1), 1e-12)
         weight = weight * np.minimum(1.0, np.sqrt(CHI2_MONO / chi2))
         data = -float((weight * (error * ray).sum(axis=1)).sum())
-        return data + (factor - self.given) / self.sigma**2
+        if self.rounds == 1:
+            self._excess = float((weight * (error**2).sum(axis=1)).sum()) / self._freedom()
+        return data / self._excess + (factor - self.given) / self.sigma**2
+
+    def _freedom(self) -> int:
+        """Return the degrees of freedom: two a keypoint, less three a point and six a pose."""
+        problem = self.problem
+        seen = int(np.count_nonzero(np.diff(problem.first)))
+        return max(2 * int(problem.usable.sum()) - 3 * seen - 6 * problem.free, 1)
 
     def run(self) -> FocalLength | None:
         """Find where the slope vanishes, by the secant method; None where the map does not say it well enough."""
