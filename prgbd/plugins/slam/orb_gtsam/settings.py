@@ -51,8 +51,8 @@ class Settings:
         keyframe_ratio: Insert when inliers fall below this share of the reference keyframe's points.
         keyframe_ratio_first: The same while there is one keyframe.
         keyframe_ratio_mono: The same for mono.
-        keyframe_thin_mono: In mono, insert as well when inliers are fewer than this share of the frame's keypoints: fast
-            motion leaves few points that three keyframes see, so little is expected of a frame; 0 as ORB-SLAM2.
+        keyframe_thin_mono: In mono, insert as well when inliers are fewer than this share of the frame's keypoints, as
+            fast motion leaves few points that three keyframes see and little is expected of a frame; 0 as ORB-SLAM2.
         keyframe_close_tracked: Close points are needed when fewer than this many are tracked ...
         keyframe_close_untracked: ... and more than this many could be created.
         keyframe_min_interval: Fewest frames between two keyframes, unless tracking is weak or close points are needed.

@@ -1,0 +1,51 @@
+"""When a frame becomes a keyframe, where that departs from ORB-SLAM2."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prgbd.core.types import PinholeCamera
+from prgbd.plugins.slam.orb_gtsam.features import Features
+from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.keyframe_decision import needs_keyframe
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig
+from prgbd.plugins.slam.orb_gtsam.settings import Settings
+
+KEYPOINTS = 200
+
+
+def features() -> Features:
+    none = np.zeros(KEYPOINTS, np.float32)
+    return Features(
+        np.zeros((KEYPOINTS, 2), np.float32),
+        np.zeros(KEYPOINTS, np.int32),
+        none,
+        np.zeros((KEYPOINTS, 4), np.uint64),
+        none,
+        none - 1,
+        np.zeros((KEYPOINTS, 3), np.uint8),
+        np.zeros(2, np.int32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("inliers", "share", "wanted"),
+    [(25, 0.15, True), (25, 0.0, False), (40, 0.15, False), (15, 0.15, False)],
+    ids=["thin", "as ORB-SLAM2", "enough", "too few to trust"],
+)
+def test_a_thin_map_gets_keyframes(inliers: int, share: float, wanted: bool) -> None:
+    # Four keyframes whose points are each seen by two: none is expected to be found again.
+    world = Map(KEYPOINTS, 1, np.ones(1))
+    for k in range(4):
+        points = np.full(KEYPOINTS, -1, np.int64)
+        if k % 2:
+            points[:60] = world.points_of(k - 1)[:60]
+        world.add_keyframe(k, 0.1 * k, np.eye(4), features(), points)
+        if not k % 2:
+            world.add_points(k, np.arange(60), np.zeros((60, 3)))
+    rig = Rig(PinholeCamera(640, 480, 500.0, 500.0, 320.0, 240.0), True, 0.0, 0.0, np.ones(1), 1)
+    settings = Settings(keyframe_thin_mono=share)
+    frame = TrackedFrame(4, 0.4, 4, features())
+    assert needs_keyframe(world, rig, settings, frame, inliers, 3, 1, 10.0) is wanted
