@@ -163,6 +163,29 @@ def test_loading_and_saving_is_exact_and_repeatable(mapped, tmp_path) -> None:
         np.testing.assert_array_equal(new["keyframes.frame_index"], -1 - old["keyframes.frame_index"])
 
 
+def test_culled_keyframes_and_points_are_left_out_and_nothing_refers_to_them(tmp_path) -> None:
+    with begin() as system:
+        for frame in frames_of(FIRST):
+            system.track(frame)
+        world = system._map
+        kept, gone = world.alive()[:2].tolist()
+        assert len(world.alive()) > 2
+        world.cull_keyframe(gone, kept)
+        pts = world.points
+        assert np.any(pts.reference[: pts.count][~pts.bad[: pts.count]] == gone)
+        system.save_map(tmp_path / "m.npz")
+        keyframes, points = len(world.alive()), int(np.count_nonzero(pts.head[: pts.count] >= 0))
+    again = begin()
+    again.load_map(tmp_path / "m.npz")
+    world = again._map
+    assert (world.keyframes.count, world.points.count) == (keyframes, points)
+    assert not world.keyframes.bad[:keyframes].any()
+    reference = world.points.reference[:points]
+    assert reference.min() >= 0
+    assert reference.max() < keyframes
+    assert world.observation_counts(np.arange(points), double=False).min() > 0
+
+
 def test_another_baseline_moves_the_virtual_right_image(mapped) -> None:
     mode, file, _ = mapped
     if mode == "mono":

@@ -23,6 +23,14 @@ KIND = "prgbd orb_gtsam map"
 FORMAT = 1
 # Rebuilt from the other columns when a map is read.
 _LINKS = ("following", "head")
+# Columns that hold numbers of keyframes or points.
+_NUMBERS = {
+    "parent": "keyframe",
+    "reference": "keyframe",
+    "created": "keyframe",
+    "point": "point",
+    "replaced_by": "point",
+}
 # Columns whose place in a row is not a keypoint, whatever its size.
 _PER_KEYFRAME = ("cell_start",)
 _PIXELS = 1e-3
@@ -31,7 +39,7 @@ _PIXELS = 1e-3
 def save_map(world: Map, rig: Rig, given: PinholeCamera, settings: Settings, path: Path | str) -> None:
     """Write the whole map to one compressed ``.npz`` without pickles, whole or not at all.
 
-    Culled keyframes and points keep their row, so that numbers stay what they are, but not their content.
+    Keyframes and points that are alive are numbered anew; culled ones are left out.
 
     Args:
         world: The map; the caller holds its lock.
@@ -51,22 +59,21 @@ def save_map(world: Map, rig: Rig, given: PinholeCamera, settings: Settings, pat
         "scales": rig.scales,
         "settings": asdict(settings),
     }
-    size = np.where(kf.bad[: kf.count], 0, kf.size[: kf.count])
-    used = np.arange(world.capacity) < size[:, None]
+    keyframes = np.flatnonzero(~kf.bad[: kf.count])
+    points = np.flatnonzero(~pts.bad[: pts.count] & (pts.head[: pts.count] >= 0))
+    successors = np.array([*map(world.successor, range(kf.count)), -1])
+    new_row = {"keyframe": _renumbered(keyframes, kf.count)[successors], "point": _renumbered(points, pts.count)}
+    used = np.arange(world.capacity) < kf.size[keyframes, None]
     columns: dict[str, Any] = {"header": np.array(json.dumps(to_plain(header)))}
-    for name, column in _columns(kf).items():
-        if name == "size":
-            columns[f"keyframes.{name}"] = size
-        elif _is_keypoint_column(name, column, world.capacity):
-            columns[f"keypoints.{name}"] = column[used]
-        else:
-            columns[f"keyframes.{name}"] = column
-    gone = pts.bad[: pts.count]
-    for name, column in _columns(pts).items():
-        kept = column.copy()
-        if name not in ("bad", "replaced_by"):
-            kept[gone] = 0  # nobody reads them again, and zeros take no space
-        columns[f"points.{name}"] = kept
+    for kind, rows, table in (("keyframes", keyframes, kf), ("points", points, pts)):
+        for name in _stored(table):
+            column = getattr(table, name)[rows]
+            if name in _NUMBERS:
+                column = new_row[_NUMBERS[name]][column]
+            per_keypoint = table is kf and _is_keypoint_column(name, column, world.capacity)
+            columns[f"keypoints.{name}" if per_keypoint else f"{kind}.{name}"] = (
+                column[used] if per_keypoint else column
+            )
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **columns)
 
@@ -125,8 +132,8 @@ def _fill(world: Map, arrays: dict[str, NDArray[Any]]) -> None:
     if point.max(initial=-1) >= pts.count:
         raise ValueError("a keyframe observes a point that does not exist")
     for kind, columns in (("keyframes", kf), ("keypoints", kf), ("points", pts)):
-        for name, column in _columns(columns).items():
-            stored = arrays.get(f"{kind}.{name}")
+        for name in _stored(columns):
+            stored, column = arrays.get(f"{kind}.{name}"), getattr(columns, name)[: columns.count]
             if stored is None or name == "point":
                 continue  # a column that this version added keeps its fill value
             if kind == "keypoints":
@@ -149,9 +156,16 @@ def _order_maps(world: Map) -> None:
     world.current_map = len(known) - 1
 
 
-def _columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """The rows in use of all columns but the links, by name."""
-    return {name: getattr(columns, name)[: columns.count] for name in columns.names if name not in _LINKS}
+def _stored(columns: Columns) -> list[str]:
+    """Names of all columns but the links."""
+    return [name for name in columns.names if name not in _LINKS]
+
+
+def _renumbered(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return the new number of every old row, -1 for those left out; also for -1 itself, which is the last entry."""
+    numbers = np.full(count + 1, -1, np.int64)
+    numbers[rows] = np.arange(len(rows))
+    return numbers
 
 
 def _is_keypoint_column(name: str, column: NDArray[Any], capacity: int) -> bool:
