@@ -16,6 +16,7 @@ BUILT_IN = (
     ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: mono, rgbd"),
     ("data", "synthetic", "synthetic:SyntheticSequence", "procedural street or indoor world with true poses and depth"),
     ("data", "kitti_odometry", "kitti_odometry:KittiOdometrySequence", "KITTI odometry sequences 00-21"),
+    ("data", "kitti_raw", "kitti_raw:KittiRawSequence", "KITTI raw drives, Eigen split, velodyne depth, GPS poses"),
     ("data", "seven_scenes", "seven_scenes:SevenScenesSequence", "Microsoft 7-Scenes, hand-held Kinect"),
     ("data", "tum_rgbd", "tum_rgbd:TumRgbdSequence", "TUM RGB-D recordings, undistorted"),
     ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),

@@ -96,9 +96,10 @@ class FileSequence(Sequence):
         size = (self.camera.width, self.camera.height)
         image = self._undistorter.image(read_image(self._files.images[index], size))
         right = None if self._files.rights is None else self._files.rights[index]
-        depth = self.depth(index)
-        if depth is None and self._files.depths is not None:
-            depth = np.zeros(image.shape[:2], np.float32)
+        depth = None
+        if self._files.depths is not None:  # a sensor's; what a subclass knows of the truth stays out of the frame
+            depth = self.depth(index)
+            depth = np.zeros(image.shape[:2], np.float32) if depth is None else depth
         return Frame(
             index, float(self.timestamps[index]), image, depth, None if right is None else read_image(right, size)
         )
