@@ -67,8 +67,8 @@ def local_map(world: Map, frame: TrackedFrame, near: Neighbourhoods, settings: S
         The local map, or None if no keyframe shares a point with the frame.
     """
     counts = world.common(frame.points)
-    order = np.argsort(-counts, kind="stable")
-    order = order[counts[order] > 0][: settings.local_keyframes]
+    order = np.flatnonzero(counts)
+    order = order[np.argsort(-counts[order], kind="stable")][: settings.local_keyframes]
     if len(order) == 0:
         return None
     chosen = [int(k) for k in order]

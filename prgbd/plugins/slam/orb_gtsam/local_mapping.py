@@ -207,8 +207,8 @@ class LocalMapper:
         seen = world.observations(points)
         counts = np.bincount(seen[:, 0], minlength=kf.count)
         counts[local] = 0
-        others = np.argsort(-counts, kind="stable")[: settings.local_ba_fixed]
-        others = others[counts[others] > 0]
+        others = np.flatnonzero(counts)
+        others = others[np.argsort(-counts[others], kind="stable")][: settings.local_ba_fixed]
         keyframes = np.concatenate([local, others])
         fixed = np.arange(len(keyframes)) >= len(local)
         fixed |= keyframes == first
@@ -278,7 +278,7 @@ class LocalMapper:
         return {
             "keyframes_added": self.keyframes_added,
             "keyframes_culled": self.keyframes_culled,
-            "points_created": self.world.points.count,
+            "points_created": self.world.points_created,
             "points_culled": self.points_culled,
         }
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.files import atomic_path, to_plain
 from prgbd.core.types import PinholeCamera
-from prgbd.plugins.slam.orb_gtsam.mapping import Columns, Map
+from prgbd.plugins.slam.orb_gtsam.columns import Columns
+from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam import map_kernels as kernels
+from prgbd.plugins.slam.orb_gtsam.columns import Columns
 from prgbd.plugins.slam.orb_gtsam.features import Features
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.locking import FairLock
@@ -13,33 +16,8 @@ from prgbd.plugins.slam.orb_gtsam.locking import FairLock
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
-
-class Columns:
-    """Arrays that grow together along their first axis by doubling."""
-
-    def __init__(self, **columns: tuple[tuple[int, ...], type, float]) -> None:
-        """Declare columns as ``name=(shape of a row, dtype, fill value)``."""
-        self.count = 0
-        self._fill = {name: fill for name, (_, _, fill) in columns.items()}
-        for name, (shape, dtype, fill) in columns.items():
-            setattr(self, name, np.full((16, *shape), fill, dtype))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return tuple(self._fill)
-
-    def grow(self, rows: int) -> int:
-        """Add ``rows`` rows of fill values and return the first one's number."""
-        first, needed = self.count, self.count + rows
-        for name, fill in self._fill.items():
-            array = getattr(self, name)
-            if needed > len(array):
-                larger = np.full((max(needed, 2 * len(array)), *array.shape[1:]), fill, array.dtype)
-                larger[:first] = array[:first]
-                setattr(self, name, larger)
-        self.count = needed
-        return first
+# The row of a culled point serves a new one after this many keyframes: by then no frame or queue refers to it.
+_QUARANTINE = 20
 
 
 class KeyframeColumns(Columns):
@@ -98,7 +76,7 @@ class KeyframeColumns(Columns):
 
 
 class PointColumns(Columns):
-    """Map points; rows of culled ones stay, marked ``bad``, and merged ones name the point that took their place."""
+    """Map points; culled ones are marked ``bad`` and merged ones name the point that took their place, for a while."""
 
     xyz: FloatArray
     normal: FloatArray
@@ -145,6 +123,9 @@ class Map:
         self.keyframes = KeyframeColumns(capacity, cells)
         self.points = PointColumns()
         self.current_map = 0
+        self.points_created = 0
+        # Culled points, and how many keyframes there were then.
+        self._gone: deque[tuple[int, IntArray]] = deque()
         # Held by whoever reads or changes the map beside another thread; solvers work on copies without it.
         self.lock = FairLock()
 
@@ -229,8 +210,8 @@ class Map:
         """
         weights = self.common(self.points_of(k))
         weights[k] = 0
-        order = np.argsort(-weights, kind="stable")
-        order = order[weights[order] > 0]
+        order = np.flatnonzero(weights)
+        order = order[np.argsort(-weights[order], kind="stable")]
         strong = order[weights[order] >= least]
         chosen = strong if len(strong) else order[:1]
         return chosen, weights[chosen]
@@ -248,6 +229,8 @@ class Map:
         self.forget(np.full(len(rows), k), rows)
         kf.bad[k], kf.parent[k] = True, parent
         kf.cTparent[k] = kf.cTw[k] @ inverse(kf.cTw[parent])
+        kf.size[k] = 0
+        kf.release(k)
 
     def pose_of(self, k: int) -> FloatArray:
         """Return ``cTw`` of a keyframe, through the keyframes that took its place if it was culled."""
@@ -269,13 +252,28 @@ class Map:
     def add_points(self, k: int, rows: IntArray, xyz: FloatArray) -> IntArray:
         """Create points at ``xyz`` that keypoints ``rows`` of keyframe ``k`` observe; return their numbers."""
         pts = self.points
-        first = pts.grow(len(rows))
-        ids = np.arange(first, first + len(rows))
+        ids = self._point_rows(len(rows))
         pts.xyz[ids] = xyz
         pts.rgb[ids] = self.keyframes.rgb[k, rows]
         pts.reference[ids] = pts.created[ids] = k
         self.observe(k, rows, ids)
         return ids
+
+    def _point_rows(self, count: int) -> IntArray:
+        """Return rows for new points, those of points first that were culled long enough ago."""
+        rows = [np.zeros(0, np.int64)]
+        missing = count
+        while missing and self._gone and self._gone[0][0] + _QUARANTINE <= self.keyframes.count:
+            since, gone = self._gone.popleft()
+            if len(gone) > missing:
+                self._gone.appendleft((since, gone[missing:]))
+            rows.append(gone[:missing])
+            missing -= len(rows[-1])
+        self.points.clear(np.concatenate(rows))
+        first = self.points.grow(missing)
+        rows.append(np.arange(first, first + missing))
+        self.points_created += count
+        return np.concatenate(rows)
 
     def observe(self, k: int, rows: IntArray, points: IntArray) -> None:
         """Let keypoints of keyframe ``k`` observe points."""
@@ -289,8 +287,10 @@ class Map:
 
     def remove_points(self, points: IntArray) -> None:
         """Remove points and their observations."""
-        kf = self.keyframes
+        kf, points = self.keyframes, points[~self.points.bad[points]]
         kernels.remove_points(kf.point, kf.following, self.points.head, self.points.bad, points)
+        if len(points):
+            self._gone.append((kf.count, points))
 
     def merge(self, old: int, new: int) -> None:
         """Let ``new`` take the place of ``old``."""
@@ -298,6 +298,7 @@ class Map:
         pts.found[new] += pts.found[old]
         pts.visible[new] += pts.visible[old]
         kernels.merge_point(kf.point, kf.following, pts.head, pts.bad, pts.replaced_by, old, new)
+        self._gone.append((kf.count, np.array([old])))
 
     def current(self, points: IntArray) -> IntArray:
         """Follow merged points to what replaced them; -1 for culled ones. (N,) int64 with -1 for none."""
@@ -322,6 +323,7 @@ class Map:
 
     def seen_by(self, keyframes: IntArray) -> IntArray:
         """Return the points that any of some keyframes sees."""
+        keyframes = keyframes[~self.keyframes.bad[keyframes]]
         return kernels.points_seen_by(self.keyframes.point, np.ascontiguousarray(keyframes), self.points.count)
 
     def refresh(self, points: IntArray, *, descriptors: bool = True) -> None:

@@ -74,13 +74,14 @@ class RealtimeBackend(MappingBackend):
 
     def close(self) -> None:
         """See ``MappingBackend.close``; returns when the thread has ended, at the latest after one step of it."""
-        if not self._thread.is_alive() and self._closing:
+        if self._closing:
             return
         with self._changed:
             self._closing = True
             self._jobs.clear()
             self._changed.notify_all()
-        self.mapper.stop()
+            if self._busy:
+                self.mapper.stop()
         self._thread.join()
         sys.setswitchinterval(self._interval)
 
