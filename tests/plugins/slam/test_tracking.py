@@ -133,8 +133,8 @@ def test_a_young_system_that_is_lost_starts_a_new_map(frames) -> None:
     for frame in frames[:4]:
         system.track(frame)
     assert system.track(blank(4)).state is TrackingState.LOST
-    assert system.track(blank(5)).state is TrackingState.NOT_INITIALIZED
-    elsewhere = [view(6 + i, pose(-1.5 + 0.02 * i)) for i in range(4)]
+    assert system.track(blank(5)).state is TrackingState.LOST
+    elsewhere = [view(6 + i, pose(-6.0 + 0.02 * i)) for i in range(4)]
     assert [system.track(f).state.value for f in elsewhere] == ["ok"] * 4
     result = system.finish()
     assert result.stats["maps"] == 2

@@ -16,7 +16,7 @@ from prgbd.plugins.slam.orb_gtsam.history import History
 from prgbd.plugins.slam.orb_gtsam.initialisation import Starter
 from prgbd.plugins.slam.orb_gtsam.keyframe_decision import needs_keyframe
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
-from prgbd.plugins.slam.orb_gtsam.recovery import recover
+from prgbd.plugins.slam.orb_gtsam.relocalisation import Relocaliser
 from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
 
@@ -40,6 +40,7 @@ class FrontEnd:
 
     Args:
         tracker: Finds poses in the map.
+        relocaliser: Finds lost frames in any map.
         starter: Makes the first keyframes of a map.
         backend: The mapper's side.
         watch: Gathers stage times.
@@ -47,15 +48,23 @@ class FrontEnd:
     """
 
     def __init__(
-        self, tracker: Tracker, starter: Starter, backend: MappingBackend, watch: Stopwatch, fps: float
+        self,
+        tracker: Tracker,
+        relocaliser: Relocaliser,
+        starter: Starter,
+        backend: MappingBackend,
+        watch: Stopwatch,
+        fps: float,
     ) -> None:
-        self.tracker, self.starter, self.backend, self.watch = tracker, starter, backend, watch
+        self.tracker, self.relocaliser, self.starter = tracker, relocaliser, starter
+        self.backend, self.watch = backend, watch
         self.settings, self.rig, self.world, self.near = tracker.settings, tracker.rig, tracker.world, tracker.near
         self.history = History()
         self.depth_ratios: list[float] = []
         self._fps = fps
         self._started = False
-        self._lost = 0
+        # Lost frames in a row, those of them that showed something, and whether a new map is being tried.
+        self._lost, self._unknown, self._restarting = 0, 0, False
         self._last_keyframe = -1
         self._handovers: list[Handover] = []
 
@@ -69,15 +78,21 @@ class FrontEnd:
         """Track a frame; the caller holds ``Map.lock``, and passes the keyframes on after giving it back."""
         self._handovers = []
         self.depth_ratios.append(float("nan"))
-        result = self._continue(frame) if self._started else self._start(frame)
+        result = self._continue(frame) if self._started else self._start(frame, TrackingState.NOT_INITIALIZED)
         self.history.add(result.state, result.inliers)
         return result, self._handovers
 
-    def _start(self, frame: TrackedFrame) -> TrackingResult:
+    def _start(self, frame: TrackedFrame, otherwise: TrackingState) -> TrackingResult:
+        """Try to start a map; a frame that does not make one has the state ``otherwise``."""
+        world = self.world
+        before, world.current_map = world.current_map, world.next_map()
         with self.watch("initialisation"):
             started = self.starter.add(frame)
         if started is None:
-            return TrackingResult(TrackingState.NOT_INITIALIZED)
+            world.current_map = before
+            return TrackingResult(otherwise)
+        if self._restarting:
+            log.info("Frame %d was not found in the map; it starts a new one.", frame.index)
         tracker = self.tracker
         tracker.reference, tracker.velocity, tracker.last = started.reference, None, None
         frame.cTw, frame.points = started.cTw, started.points
@@ -87,7 +102,8 @@ class FrontEnd:
             self._place(placed.frame_index, placed.timestamp, placed.reference, placed.cTw)
             self.history.amend(placed.ordinal, TrackingState.OK, placed.inliers)
         self._place(frame.index, frame.timestamp, started.reference, frame.cTw)
-        self._started, self._lost, self._last_keyframe = True, 0, frame.ordinal
+        self._started, self._last_keyframe = True, frame.ordinal
+        self._found()
         self._handovers = [Handover(k, local_mapping=False) for k in started.keyframes]
         inliers = len(frame.matched())
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, True)
@@ -100,12 +116,14 @@ class FrontEnd:
                 inliers = tracker.track(frame)
         if not inliers:
             with self.watch("recovery"):
-                inliers = recover(tracker, frame)
+                inliers = self.relocaliser.find(frame)
         if not inliers:
             return self._lose(frame)
         if self._lost:
             log.info("Tracking recovered at frame %d after %d lost frames.", frame.index, self._lost)
-        self._lost = 0
+            # The way from the last tracked frame is no motion between two frames.
+            tracker.last = None
+        self._found()
         self.depth_ratios[-1] = depth_ratio(self.world, frame)
         keyframe = self._wants_keyframe(frame, inliers)
         if keyframe:
@@ -131,21 +149,25 @@ class FrontEnd:
             self._fps,
         )
 
+    def _found(self) -> None:
+        self._lost, self._unknown, self._restarting = 0, 0, False
+
     def _lose(self, frame: TrackedFrame) -> TrackingResult:
-        """Count a lost frame, and start a new map if there is little to go back to."""
+        """Count a lost frame, and try to start a new map once enough of them showed a place that is not known.
+
+        Every further frame is looked for in the old maps first. A frame without anything to see changes nothing.
+        """
         self._lost += 1
         self.tracker.velocity = None
-        if self.settings.localise_only:
+        if self.settings.localise_only or not self.relocaliser.sees(frame):
             return TrackingResult(TrackingState.LOST)
+        self._unknown += 1
         entered = self.tracker.last is not None  # a frame was tracked, since the start or since a map was loaded
         small = entered and len(self.world.alive()) <= self.settings.restart_keyframes
-        if small or self._lost >= self.settings.restart_after:
-            log.info("Tracking is lost at frame %d; starting a new map.", frame.index)
-            self.world.current_map += 1
+        if not self._restarting and (small or self._unknown >= self.settings.restart_after):
+            self._restarting = True
             self.starter.begin_at(self.tracker.last_pose() if entered else np.eye(4))
-            self.near.clear()
-            self._started = False
-        return TrackingResult(TrackingState.LOST)
+        return self._start(frame, TrackingState.LOST) if self._restarting else TrackingResult(TrackingState.LOST)
 
     def _place(self, index: int, timestamp: float, reference: int, cTw: NDArray[np.float64]) -> None:
         cTref = cTw @ inverse(self.world.keyframes.cTw[reference])

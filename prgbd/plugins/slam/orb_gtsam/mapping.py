@@ -185,10 +185,16 @@ class Map:
         kf = self.keyframes
         return [int(n) for n in np.unique(kf.map_id[: kf.count][~kf.bad[: kf.count]])]
 
+    def next_map(self) -> int:
+        """Return the number of a new map."""
+        return int(self.keyframes.map_id[: self.keyframes.count].max(initial=-1)) + 1
+
     def join(self, a: int, b: int) -> None:
-        """Make one map of two; it has the later one's number, so that the current map stays current."""
+        """Make one map of two; it has the later one's number, and is current if one of them was."""
         ids = self.keyframes.map_id[: self.keyframes.count]
         ids[ids == min(a, b)] = max(a, b)
+        if self.current_map == min(a, b):
+            self.current_map = max(a, b)
 
     def rescale(self, map_id: int, scale: FloatArray) -> None:
         """Note that the map changed its units around every keyframe, and give culled ones the units of their place.

@@ -71,9 +71,9 @@ class Settings:
             0 trusts all depths, as ORB-SLAM2 does.
         realtime: Whether the mapper works in a thread beside the tracker; faster, but no two runs are quite alike.
         realtime_queue: Most keyframes that wait for that mapper; when one more comes, the tracker waits as well.
-        recovery_keyframes: Keyframes tried when tracking is recovered.
-        restart_after: Lost frames after which a new map is started; a system with <= ``restart_keyframes`` keyframes
-            starts at once.
+        recovery_keyframes: Keyframes of any map that are tried for a lost frame.
+        restart_after: A new map may start after this many lost frames that showed something but no known place (each
+            further frame is looked for in the old maps first); at once with <= ``restart_keyframes`` keyframes.
         restart_keyframes: See ``restart_after``.
         loop_closing: Whether loops are closed and maps of one place joined.
         loop_scale: Whether a loop corrects scale: "free", "fixed", or "auto": free in mono; where depth is measured
@@ -142,7 +142,7 @@ class Settings:
     realtime: bool = False
     realtime_queue: int = 1
     recovery_keyframes: int = 12
-    restart_after: int = 30
+    restart_after: int = 10
     restart_keyframes: int = 5
     loop_closing: bool = True
     loop_scale: str = "auto"

@@ -26,6 +26,7 @@ from prgbd.plugins.slam.orb_gtsam.map_file import load_map, loaded_keyframes, sa
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
 from prgbd.plugins.slam.orb_gtsam.realtime import RealtimeBackend
+from prgbd.plugins.slam.orb_gtsam.relocalisation import Relocaliser
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -101,7 +102,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             TwoViewStarter(settings, self._rig, mapper, least, seed) if self._rig.mono else DepthStarter(mapper, least)
         )
         tracker = Tracker(settings, self._rig, self._map, self._near)
-        self._frontend = FrontEnd(tracker, starter, self._backend, self._watch, fps)
+        self._frontend = FrontEnd(tracker, Relocaliser(tracker, self._places), starter, self._backend, self._watch, fps)
         self._ready = True
 
     def track(self, frame: Frame) -> TrackingResult:
@@ -163,17 +164,19 @@ class OrbGtsamSLAM(GeometricSLAM):
             self._frontend.enter()
 
     def _close_loops(self, mapper: LocalMapper, places: PlaceIndex, seed: int) -> LoopCloser:
-        """Make the loop closer, and have it see every keyframe that was mapped unless it is switched off."""
+        """Make the loop closer; it sees every keyframe that was mapped, unless it is off, before the index gets it."""
         closer = LoopCloser(self.settings, self._rig, self._map, self._near, mapper, places, seed)
 
         def look(k: int) -> None:
             with self._watch("loop_closing"):
                 closer.process(k)
+
+        def index(k: int) -> None:
+            with self._watch("place_index"):
                 places.add(k, self._map.features(k).descriptor)
 
-        if self.settings.loop_closing:
-            self._backend.after_keyframe.append(look)
-            mapper.after_culling.append(places.remove)
+        self._backend.after_keyframe += [look, index] if self.settings.loop_closing else [index]
+        mapper.after_culling.append(places.remove)
         return closer
 
     def finish(self) -> SlamResult:

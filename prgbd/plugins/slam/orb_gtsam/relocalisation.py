@@ -1,0 +1,136 @@
+"""Relocalisation: the pose of a lost frame in any map, by appearance, PnP, and then projection."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.local_map import match_local_map
+from prgbd.plugins.slam.orb_gtsam.matching import match_by_descriptor
+from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
+from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+_PNP_PIXELS = 5.0
+_PNP_ITERATIONS = 300
+# Covisible keyframes whose points are looked for together with a candidate's own.
+_AROUND = 5
+# Factors on the search radius once there is a pose, as it gets better.
+_NARROWING = (4.0, 1.5)
+
+
+class Relocaliser:
+    """Finds lost frames in the map (Tracking::Relocalization): near the last keyframe, then wherever it looks alike.
+
+    Args:
+        tracker: Its reference keyframe is where the search starts; gets another one when a frame is found.
+        places: Finds keyframes of all maps by appearance.
+    """
+
+    def __init__(self, tracker: Tracker, places: PlaceIndex) -> None:
+        self.tracker, self.places = tracker, places
+        self.settings, self.world, self.rig = tracker.settings, tracker.world, tracker.rig
+
+    def sees(self, frame: TrackedFrame) -> bool:
+        """Whether a frame has enough keypoints to be found at all; a black image does not."""
+        return len(frame.features) >= self.settings.min_inliers_recovered
+
+    def find(self, frame: TrackedFrame) -> int:
+        """Try to find a lost frame in any map; the map it is found in becomes the current one.
+
+        Args:
+            frame: The frame; gets pose and matches.
+
+        Returns:
+            Inliers, 0 if the frame stays lost.
+        """
+        if not self.sees(frame):
+            return 0
+        tracker, world = self.tracker, self.world
+        for k in self._candidates(frame):
+            if not self._pose_against(frame, k):
+                continue
+            before = tracker.reference, tracker.recovered_at
+            tracker.reference, tracker.recovered_at = k, frame.ordinal
+            inliers = tracker.from_local_map(frame, self.settings.min_inliers_recovered)
+            if inliers:
+                world.current_map = int(world.keyframes.map_id[tracker.reference])
+                return inliers
+            tracker.reference, tracker.recovered_at = before
+        # A new map may start from this frame; what was tried here must not tie it to the old ones.
+        frame.clear()
+        return 0
+
+    def _candidates(self, frame: TrackedFrame) -> list[int]:
+        """Return where the frame was last seen and the places that look like it, in turns."""
+        world, tracker, limit = self.world, self.tracker, self.settings.recovery_keyframes
+        bad = world.keyframes.bad
+        near: list[int] = []
+        if tracker.reference >= 0:
+            reference = world.successor(tracker.reference)
+            latest = world.alive(int(world.keyframes.map_id[reference]))[::-1]
+            near = [reference, *latest[:2].tolist(), *tracker.near.of(reference)[:2].tolist()]
+        alike, _ = self.places.query(frame.features.descriptor, count=3 * limit)
+        chosen: dict[int, None] = {}
+        # Of keyframes next to each other one is enough: the points around it are looked for as well.
+        covered: set[int] = set()
+        for k in alike.tolist():
+            if k not in covered and not bad[k]:
+                chosen[k] = None
+                covered.update((k, *tracker.near.of(k)[:_AROUND].tolist()))
+        mixed = [k for pair in zip(near, chosen, strict=False) for k in pair]
+        ordered = dict.fromkeys([*mixed, *near, *chosen])
+        return [k for k in ordered if not bad[k]][:limit]
+
+    def _pose_against(self, frame: TrackedFrame, k: int) -> bool:
+        """Find the pose of a frame from the points of keyframe ``k`` and of those around it."""
+        world, rig, settings = self.world, self.rig, self.settings
+        points = world.points_of(k)
+        rows = np.flatnonzero(points >= 0)
+        keyframe = world.features(k)
+        frame.clear()
+        found = match_by_descriptor(
+            keyframe.descriptor[rows],
+            keyframe.angle[rows],
+            frame.features,
+            limit=settings.distance_high,
+            ratio=settings.ratio_recovery,
+        )
+        if frame.match(found, points[rows]) < settings.min_matches_reference:
+            return False
+        guess = self._pnp(frame)
+        if guess is None or frame.estimate_pose(world, rig, guess) < settings.min_inliers_pose:
+            return False
+        frame.drop_outliers()
+        around = world.seen_by(np.append(self.tracker.near.of(k)[:_AROUND], k))
+        for factor in _NARROWING:
+            match_local_map(world, frame, around, rig, settings, factor=factor)
+            frame.estimate_pose(world, rig, frame.cTw)
+            frame.drop_outliers()
+        return len(frame.matched()) >= settings.min_inliers_pose
+
+    def _pnp(self, frame: TrackedFrame) -> FloatArray | None:
+        """Return the pose that most of a frame's matches agree with, and forget the others."""
+        matched = frame.matched()
+        # OpenCV seeds this RANSAC with a constant, so equal input gives equal output.
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            self.world.points.xyz[frame.points[matched]],
+            frame.features.uv[matched].astype(np.float64),
+            self.rig.camera.K,
+            None,
+            iterationsCount=_PNP_ITERATIONS,
+            reprojectionError=_PNP_PIXELS,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_AP3P,
+        )
+        if not ok or inliers is None or len(inliers) < self.settings.min_inliers_pose:
+            return None
+        pose = np.eye(4)
+        pose[:3, :3] = cv2.Rodrigues(rotation)[0]
+        pose[:3, 3] = translation.ravel()
+        frame.points[np.setdiff1d(matched, matched[inliers.ravel()])] = -1
+        return pose if np.isfinite(pose).all() else None
