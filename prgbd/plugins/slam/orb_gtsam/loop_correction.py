@@ -54,7 +54,7 @@ def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], wei
     Loop edges are weighed robustly: what the rest of the graph contradicts beyond its uncertainty is refused.
 
     Args:
-        world: The map.
+        world: The map; its lock is held only while the graph is collected.
         loop: The loop, within one map.
         earlier_loops: Pairs of keyframes that earlier loops joined.
         weight: Common points of a strong edge.
@@ -62,19 +62,8 @@ def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], wei
     Returns:
         The new poses, or None if the loop was refused.
     """
-    kf = world.keyframes
-    keyframes = world.alive(int(kf.map_id[loop.k]))
-    column = np.full(kf.count, -1, np.int64)
-    column[keyframes] = np.arange(len(keyframes))
-    j, i = essential_edges(world, keyframes, weight)
-    kept = np.array([[world.successor(n) for n in pair] for pair in earlier_loops], np.int64).reshape(-1, 2)
-    kept = kept[kept[:, 0] != kept[:, 1]]
-    i, j = np.concatenate([i, kept[:, 1], [loop.candidate]]), np.concatenate([j, kept[:, 0], [loop.k]])
-    is_loop = np.arange(len(i)) >= len(i) - 1 - len(kept)
-    wTc = inverse(kf.cTw[keyframes])
-    i, j = column[i], column[j]
-    iTj = inverse(wTc[i]) @ wTc[j]
-    iTj[-1] = relative_pose(loop, world)
+    with world.lock:
+        keyframes, wTc, i, j, iTj, is_loop = _graph(world, loop, earlier_loops, weight)
     ratio = np.ones(len(i))
     ratio[-1] = 1.0 / loop.scale
     sigmas = _sigmas(np.linalg.norm(iTj[:, :3, 3], axis=1), is_loop)
@@ -93,6 +82,29 @@ def solve_loop(world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], wei
     if not loop.free_scale:
         error[6] = 0.0
     return Correction(keyframes, poses, scale) if np.linalg.norm(error / sigmas[-1]) < _REFUSED else None
+
+
+def _graph(
+    world: Map, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int
+) -> tuple[IntArray, FloatArray, IntArray, IntArray, FloatArray, NDArray[np.bool_]]:
+    """Return keyframes, their poses, and the edges: rows of both ends, pose of j seen from i, which are loops.
+
+    The new loop is the last edge.
+    """
+    kf = world.keyframes
+    keyframes = world.alive(int(kf.map_id[loop.k]))
+    column = np.full(kf.count, -1, np.int64)
+    column[keyframes] = np.arange(len(keyframes))
+    j, i = essential_edges(world, keyframes, weight)
+    kept = np.array([[world.successor(n) for n in pair] for pair in earlier_loops], np.int64).reshape(-1, 2)
+    kept = kept[(kept[:, 0] != kept[:, 1]) & (column[kept] >= 0).all(axis=1)]
+    i, j = np.concatenate([i, kept[:, 1], [loop.candidate]]), np.concatenate([j, kept[:, 0], [loop.k]])
+    is_loop = np.arange(len(i)) >= len(i) - 1 - len(kept)
+    wTc = inverse(kf.cTw[keyframes])
+    i, j = column[i], column[j]
+    iTj = inverse(wTc[i]) @ wTc[j]
+    iTj[-1] = relative_pose(loop, world)
+    return keyframes, wTc, i, j, iTj, is_loop
 
 
 def _sigmas(length: FloatArray, is_loop: NDArray[np.bool_]) -> FloatArray:

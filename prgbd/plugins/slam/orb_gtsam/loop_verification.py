@@ -29,6 +29,8 @@ _NEIGHBOURS = 20
 _CELLS, _LEAST_CELLS = (6, 4), 6
 # Share of the points matched in the last search that must agree with one pose.
 _LEAST_AGREEING = 0.6
+# Difference of scale (log) that measured depth may show by chance.
+_SAME_SCALE = 0.1
 # Scales that a sensor's or a network's depth can drift to.
 _DEPTH_SCALES = (0.5, 2.0)
 
@@ -76,19 +78,17 @@ class LoopVerifier:
         matches = self._match(k, candidate)
         if len(matches) < self.settings.loop_min_inliers:
             return None
-        for free_scale in self._choices():
-            found = self._similarity(k, candidate, matches, free_scale)
-            loop = None if found is None else self._against_map(k, candidate, found, free_scale)
-            if loop is not None:
-                return loop
-        return None
-
-    def _choices(self) -> list[bool]:
-        """Whether scale is free: one answer, or with "auto" and measured depth first no, then yes."""
         chosen = self.settings.loop_scale
-        if chosen == "auto":
-            return [True] if self.rig.mono else [False, True]
-        return [chosen == "free"]
+        found = self._similarity(k, candidate, matches, free_scale=True)
+        if found is None:
+            return None
+        if chosen == "free" or (chosen == "auto" and self.rig.mono):
+            return self._against_map(k, candidate, found, free_scale=True)
+        if abs(np.log(sim.scale_of(found))) > _SAME_SCALE:
+            # What fits only in another size: a network's depth has drifted, or these are two places.
+            return None if chosen == "fixed" else self._against_map(k, candidate, found, free_scale=True)
+        found = self._similarity(k, candidate, matches, free_scale=False)
+        return None if found is None else self._against_map(k, candidate, found, free_scale=False)
 
     def _match(self, k: int, candidate: int) -> IntArray:
         """Match the points of two keyframes by descriptor: (M, 2) keypoints of both."""
