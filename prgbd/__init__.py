@@ -24,6 +24,7 @@ _HOMES = {
         "Trajectory",
     ),
     "prgbd.core.depth": ("DepthEstimator",),
+    "prgbd.core.wrappers": ("DepthWrapper",),
     "prgbd.core.slam": ("GeometricSLAM", "TrackingResult", "TrackingState"),
     "prgbd.core.data": ("Sequence",),
     "prgbd.core.registry": (
@@ -44,6 +45,7 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "DepthEstimator",
     "DepthPrediction",
+    "DepthWrapper",
     "Frame",
     "GeometricSLAM",
     "Keyframes",
@@ -96,6 +98,7 @@ if TYPE_CHECKING:
         SlamResult,
         Trajectory,
     )
+    from prgbd.core.wrappers import DepthWrapper
 
 
 def __getattr__(name: str) -> Any:

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from prgbd.core.slam import GeometricSLAM
 
 # What the loop, and not the plug-in, reads from a plug-in's node.
-LOOP_KEYS = {"slam": ("mode", "baseline", "load_map", "save_map"), "depth": (), "data": ("sequences", "test_sequences")}
+LOOP_KEYS = {
+    "slam": ("mode", "baseline", "load_map", "save_map"),
+    "depth": ("wrappers",),
+    "data": ("sequences", "test_sequences"),
+}
 MODES = ("auto", "mono", "rgbd", "stereo", "pseudo_rgbd")
 
 
@@ -71,13 +75,23 @@ def make_parts(config: Mapping[str, Any]) -> Parts:
         parts.mode = parts.mode or _mode_of_sequences(sequences)
     if use_depth:
         seed_everything(int(config["seed"]))
-        parts.estimator = REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth"))
+        parts.estimator = _wrapped(config, REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth")))
     parts.ids = {
         "slam": ids["slam"] if use_slam else "",
         "depth": ids["depth"] if use_depth else "",
         "data": ids["data"],
     }
     return parts
+
+
+def _wrapped(config: Mapping[str, Any], estimator: DepthEstimator) -> DepthEstimator:
+    """Put the wrappers of ``depth.wrappers`` around the network."""
+    from prgbd.core.wrappers import wrap
+
+    wrappers = config["depth"].get("wrappers") or []
+    if not isinstance(wrappers, list | tuple):
+        raise ConfigError(f"depth.wrappers is {wrappers!r}; it must be a list such as [flip_averaged].")
+    return wrap(estimator, wrappers)
 
 
 def plugin_options(config: Mapping[str, Any], kind: str) -> dict[str, Any]:

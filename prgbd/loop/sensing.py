@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from prgbd.core import wrappers
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ContractError
@@ -239,5 +240,6 @@ def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str) -> str:
         len(sequence),
         [float(sequence.timestamps[0]), float(sequence.timestamps[-1])],
         hashlib.sha256(np.ascontiguousarray(sequence.frame(0).image).tobytes()).hexdigest()[:16],
+        *wrappers.description(estimator),
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

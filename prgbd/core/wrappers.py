@@ -1,0 +1,297 @@
+"""Wrappers of depth estimators in Gymnasium's sense: each is an estimator itself, and they can be put into each other.
+
+``depth.wrappers=[flip_averaged, {clipped: {farthest: 40}}]`` puts them around the network of a run, innermost first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from prgbd.core.depth import DepthEstimator
+from prgbd.core.errors import ConfigError
+from prgbd.core.types import DepthPrediction
+
+
+class DepthWrapper(DepthEstimator):
+    """An estimator around another one, which does all of the work unless a subclass does some of it.
+
+    Declarations, pre-processing, pose network and weights are the inner estimator's: weights that are stored through a
+    wrapper are read without it, and the other way round.
+
+    Args:
+        estimator: The estimator to wrap.
+    """
+
+    def __init__(self, estimator: DepthEstimator) -> None:
+        super().__init__()
+        self.estimator = estimator
+        # As it is, so that options of the network's own are found (task.half).
+        self.save_weights = estimator.save_weights  # type: ignore[method-assign]
+
+    @property
+    def input_size(self) -> tuple[int, int]:  # type: ignore[override]
+        """See ``DepthEstimator``."""
+        return self.estimator.input_size
+
+    @property
+    def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
+        """See ``DepthEstimator``."""
+        return self.estimator.depth_range
+
+    @property
+    def metric(self) -> bool:  # type: ignore[override]
+        """See ``DepthEstimator``."""
+        return self.estimator.metric
+
+    @property
+    def unwrapped(self) -> DepthEstimator:
+        """The innermost estimator."""
+        inner = self.estimator
+        return inner.unwrapped if isinstance(inner, DepthWrapper) else inner
+
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """See ``DepthEstimator.forward``."""
+        prediction: DepthPrediction = self.estimator(images)
+        return prediction
+
+    def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
+        """See ``DepthEstimator.preprocess``."""
+        return self.estimator.preprocess(image)
+
+    def pose_network(self) -> nn.Module | None:
+        """See ``DepthEstimator.pose_network``."""
+        return self.estimator.pose_network()
+
+    def load_weights(self, folder: Path) -> None:
+        """See ``DepthEstimator.load_weights``."""
+        self.estimator.load_weights(folder)
+
+
+class FlipAveraged(DepthWrapper):
+    """Averages the inverse depth of an image and of its mirror image, in evaluation mode (Monodepth, CVPR 2017).
+
+    At the left and right border, where one of the two has no context, the other one counts. Training is left alone.
+    """
+
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """See ``DepthEstimator.forward``."""
+        if self.training:
+            return super().forward(images)
+        both = super().forward(torch.cat([images, images.flip(3)]))
+        return DepthPrediction(tuple(1 / self._blended(1 / depth, len(images)) for depth in both.depths))
+
+    @staticmethod
+    def _blended(inverse: Tensor, count: int) -> Tensor:
+        straight, mirrored = inverse[:count], inverse[count:].flip(3)
+        across = torch.linspace(0.0, 1.0, inverse.shape[3], device=inverse.device, dtype=inverse.dtype)
+        left = 1 - (20 * (across - 0.05)).clamp(0, 1)  # one at the border, zero after a tenth of the width
+        right = left.flip(0)
+        # What the mirror image says of the left border, it saw at its right one, and so with all its context.
+        return right * straight + left * mirrored + (1 - left - right) * 0.5 * (straight + mirrored)
+
+
+class Scaled(DepthWrapper):
+    """Multiplies depth by a factor, for example the one that makes a network's depth metric.
+
+    Args:
+        estimator: The estimator to wrap.
+        factor: What depth is multiplied by.
+        metric: Whether depth is in metres afterwards.
+
+    Raises:
+        ConfigError: If the factor is not positive.
+    """
+
+    def __init__(self, estimator: DepthEstimator, factor: float, metric: bool = True) -> None:
+        super().__init__(estimator)
+        self.factor = _positive("scaled", "factor", factor)
+        self._metric = bool(metric)
+
+    @property
+    def metric(self) -> bool:  # type: ignore[override]
+        """Whether depth is in metres afterwards."""
+        return self._metric
+
+    @property
+    def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
+        """The inner range times the factor."""
+        nearest, farthest = self.estimator.depth_range
+        return self.factor * nearest, self.factor * farthest
+
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """See ``DepthEstimator.forward``."""
+        prediction = super().forward(images)
+        return DepthPrediction(tuple(self.factor * depth for depth in prediction.depths), prediction.disparities)
+
+    def extra_repr(self) -> str:
+        """What sets it apart from another one."""
+        return f"factor={self.factor:g}"
+
+
+class MedianScaled(DepthWrapper):
+    """Scales each image's depth so that its median is the same everywhere, which takes out a scale that flickers.
+
+    Args:
+        estimator: The estimator to wrap.
+        median: The median that every image gets, in units of depth.
+
+    Raises:
+        ConfigError: If the median is not positive.
+    """
+
+    metric = False
+
+    def __init__(self, estimator: DepthEstimator, median: float = 10.0) -> None:
+        super().__init__(estimator)
+        self.median = _positive("median_scaled", "median", median)
+
+    @property
+    def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
+        """What can come out: the median may lie at either end of the inner range."""
+        nearest, farthest = self.estimator.depth_range
+        return self.median * nearest / farthest, self.median * farthest / nearest
+
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """See ``DepthEstimator.forward``."""
+        prediction = super().forward(images)
+        # No gradient through the factor: it would belong to one pixel, the median's.
+        middle = prediction.depth.detach().flatten(1).median(1).values[:, None, None, None]
+        depths = tuple(depth * (self.median / middle) for depth in prediction.depths)
+        return DepthPrediction(depths, prediction.disparities)
+
+    def extra_repr(self) -> str:
+        """What sets it apart from another one."""
+        return f"median={self.median:g}"
+
+
+class Clipped(DepthWrapper):
+    """Keeps depth within limits, for example the sky from setting the adaptive baseline.
+
+    Args:
+        estimator: The estimator to wrap.
+        nearest: Nearest depth; None for the network's own.
+        farthest: Farthest depth; None for the network's own.
+
+    Raises:
+        ConfigError: If nothing lies between the limits.
+    """
+
+    def __init__(self, estimator: DepthEstimator, nearest: float | None = None, farthest: float | None = None) -> None:
+        super().__init__(estimator)
+        near, far = estimator.depth_range
+        self.limits = (float(near if nearest is None else nearest), float(far if farthest is None else farthest))
+        if not 0 < self.limits[0] < self.limits[1]:
+            raise ConfigError(
+                f"The depth wrapper clipped keeps nothing between nearest={self.limits[0]:g} and "
+                f"farthest={self.limits[1]:g}; change depth.wrappers."
+            )
+
+    @property
+    def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
+        """The limits."""
+        return self.limits
+
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """See ``DepthEstimator.forward``."""
+        prediction = super().forward(images)
+        return DepthPrediction(tuple(depth.clamp(*self.limits) for depth in prediction.depths), prediction.disparities)
+
+    def extra_repr(self) -> str:
+        """What sets it apart from another one."""
+        return f"nearest={self.limits[0]:g}, farthest={self.limits[1]:g}"
+
+
+class Cached(DepthWrapper):
+    """Remembers the last predictions of ``predict``; changed weights and other images are predicted anew.
+
+    Args:
+        estimator: The estimator to wrap.
+        size: How many predictions are kept.
+
+    Raises:
+        ConfigError: If the size is not positive.
+    """
+
+    def __init__(self, estimator: DepthEstimator, size: int = 64) -> None:
+        super().__init__(estimator)
+        self.size = int(_positive("cached", "size", size))
+        self._known: OrderedDict[Any, NDArray[np.float32]] = OrderedDict()
+
+    def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """See ``DepthEstimator.predict``."""
+        tensors = (*self.parameters(), *self.buffers())
+        # A tensor counts the changes that are made to it.
+        weights = tuple((t.data_ptr(), t._version) for t in tensors)
+        key = (hashlib.sha256(np.ascontiguousarray(image).tobytes()).digest(), image.shape, weights)
+        if key not in self._known:
+            self._known[key] = self.estimator.predict(image)
+            while len(self._known) > self.size:
+                self._known.popitem(last=False)
+        self._known.move_to_end(key)
+        return self._known[key].copy()
+
+
+WRAPPERS: dict[str, Callable[..., DepthWrapper]] = {
+    "flip_averaged": FlipAveraged,
+    "scaled": Scaled,
+    "median_scaled": MedianScaled,
+    "clipped": Clipped,
+    "cached": Cached,
+}
+
+
+def wrap(estimator: DepthEstimator, wrappers: Sequence[str | Mapping[str, Any]]) -> DepthEstimator:
+    """Put wrappers around an estimator, the first one innermost.
+
+    Args:
+        estimator: The estimator.
+        wrappers: Names, or mappings of one name to its options: ``["flip_averaged", {"clipped": {"farthest": 40}}]``.
+
+    Raises:
+        ConfigError: If a name or an option is unknown, or a value cannot work.
+    """
+    for given in wrappers:
+        name, options = (given, {}) if isinstance(given, str) else _single(given)
+        if name not in WRAPPERS:
+            raise ConfigError(f"There is no depth wrapper '{name}'; choose from {', '.join(WRAPPERS)}.")
+        try:
+            estimator = WRAPPERS[name](estimator, **options)
+        except TypeError as error:
+            reason = str(error).partition("() ")[2] or error
+            raise ConfigError(f"The depth wrapper {name} {reason}; mend depth.wrappers.") from error
+    return estimator
+
+
+def description(estimator: DepthEstimator) -> list[str]:
+    """Return the wrappers of an estimator with their options, outermost first; empty without any."""
+    found = []
+    while isinstance(estimator, DepthWrapper):
+        found.append(f"{type(estimator).__name__}({estimator.extra_repr()})")
+        estimator = estimator.estimator
+    return found
+
+
+def _single(given: Any) -> tuple[str, dict[str, Any]]:
+    if not isinstance(given, Mapping) or len(given) != 1:
+        raise ConfigError(f"'{given}' in depth.wrappers is neither a name nor one name with its options.")
+    ((name, options),) = given.items()
+    if not isinstance(options or {}, Mapping):
+        raise ConfigError(
+            f"The options of the depth wrapper {name} must be written {{option: value}}, got {options!r}."
+        )
+    return str(name), dict(options or {})
+
+
+def _positive(wrapper: str, option: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0 or not np.isfinite(value):
+        raise ConfigError(f"The depth wrapper {wrapper} needs a positive {option}, got {value!r}; mend depth.wrappers.")
+    return float(value)

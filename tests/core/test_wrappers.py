@@ -1,0 +1,145 @@
+"""Wrappers of depth estimators."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import prgbd
+from prgbd import DepthPrediction
+from prgbd.core.errors import ConfigError
+from prgbd.core.wrappers import (
+    WRAPPERS,
+    Cached,
+    Clipped,
+    DepthWrapper,
+    FlipAveraged,
+    MedianScaled,
+    Scaled,
+    description,
+    wrap,
+)
+from tests.core.plugins import Constant
+
+
+class LeftRight(Constant):
+    """Says that what is at the left of the picture is near, whatever the picture shows."""
+
+    calls = 0
+
+    def forward(self, images):
+        self.calls += 1
+        across = torch.linspace(1.0, 4.0, images.shape[3]).expand(len(images), 1, *images.shape[2:])
+        return DepthPrediction((across * self.log_depth.exp() * (1 + images.mean(1, keepdim=True)),))
+
+
+@pytest.fixture
+def images():
+    return torch.rand((2, 3, 32, 64), generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    "wrappers",
+    [
+        ["flip_averaged"],
+        [{"scaled": {"factor": 5.4}}],
+        [{"median_scaled": {"median": 3.0}}],
+        [{"clipped": {"farthest": 7.0}}],
+        ["cached"],
+        [{"clipped": {"nearest": 3.0, "farthest": 9.0}}, "flip_averaged", {"cached": {"size": 2}}],
+    ],
+    ids=str,
+)
+def test_every_wrapper_keeps_the_contract(wrappers) -> None:
+    wrapped = wrap(LeftRight(), wrappers)
+    prgbd.check_depth_estimator(wrapped)
+    assert isinstance(wrapped, DepthWrapper)
+    assert isinstance(wrapped.unwrapped, LeftRight)
+
+
+def test_flip_averaging_takes_a_bias_of_the_sides_out_of_the_middle(images) -> None:
+    wrapped = FlipAveraged(LeftRight()).eval()
+    flat = torch.full_like(images, 0.5)
+    inverse = 1 / wrapped(flat).depth[0, 0, 0]
+    middle = inverse[8:-8]
+    assert torch.allclose(middle, middle.flip(0), rtol=1e-4)
+    alone = 1 / wrapped.unwrapped(flat).depth[0, 0, 0]
+    assert torch.allclose(inverse[:3], alone.flip(0)[:3], rtol=1e-4)  # at the borders the side with context counts
+    assert torch.allclose(inverse[-3:], alone[-3:], rtol=1e-4)
+    mirrored = wrapped(images.flip(3)).depth.flip(3)
+    assert torch.allclose(wrapped(images).depth, mirrored, rtol=1e-4)
+
+
+def test_flip_averaging_leaves_training_alone(images) -> None:
+    wrapped = FlipAveraged(LeftRight()).train()
+    assert torch.equal(wrapped(images).depth, wrapped.unwrapped(images).depth)
+
+
+def test_scales_and_limits(images) -> None:
+    inner = LeftRight()
+    expected = inner(images).depth
+    scaled = Scaled(inner, 2.5)
+    assert torch.allclose(scaled(images).depth, 2.5 * expected)
+    assert (scaled.metric, scaled.depth_range) == (True, (0.25, 250.0))
+    even = MedianScaled(inner, 3.0)(images).depth
+    assert torch.allclose(even.flatten(1).median(1).values, torch.tensor(3.0))
+    assert torch.allclose(even / expected, (even / expected)[:, :, :1, :1].expand_as(even))
+    clipped = Clipped(inner, farthest=6.0)
+    assert clipped.depth_range == (0.1, 6.0)
+    assert torch.equal(clipped(images).depth, expected.clamp(max=6.0))
+
+
+def test_the_cache_predicts_once_until_image_or_weights_change() -> None:
+    inner = LeftRight()
+    cached = Cached(inner, size=2)
+    first, second, third = (np.full((40, 70, 3), level, np.uint8) for level in (0, 100, 200))
+    depth = cached.predict(first)
+    depth[:] = -1.0  # what is handed out is the caller's own
+    assert cached.predict(first).min() > 0
+    assert inner.calls == 1
+    cached.predict(second)
+    cached.predict(third)
+    assert inner.calls == 3
+    cached.predict(first)  # had to make room
+    assert inner.calls == 4
+    with torch.no_grad():
+        inner.log_depth.add_(0.5)
+    assert cached.predict(first).mean() == pytest.approx(np.exp(0.5) * LeftRight().predict(first).mean(), rel=1e-4)
+    assert inner.calls == 5
+
+
+def test_weights_stored_through_a_wrapper_are_read_without_it(tmp_path, images) -> None:
+    inner = LeftRight(value=7.0)
+    wrap(inner, ["flip_averaged"]).save_weights(tmp_path)
+    fresh = LeftRight()
+    fresh.load_weights(tmp_path)
+    assert torch.equal(fresh(images).depth, inner(images).depth)
+
+
+def test_wrappers_with_other_options_are_told_apart() -> None:
+    near, far = ([{"clipped": {"farthest": limit}}, "flip_averaged"] for limit in (5.0, 6.0))
+    assert description(Constant()) == []
+    assert description(wrap(Constant(), near)) != description(wrap(Constant(), far))
+    assert len(description(wrap(Constant(), near))) == 2
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "match"),
+    [
+        (["flipped"], "no depth wrapper 'flipped'; choose from flip_averaged"),
+        ([{"scaled": {}}], "scaled missing .*factor"),
+        ([{"scaled": {"factor": -1}}], "positive factor"),
+        ([{"clipped": {"far": 3}}], "unexpected keyword argument 'far'"),
+        ([{"clipped": {"nearest": 5, "farthest": 2}}], "nothing between"),
+        ([{"clipped": 3}], r"\{option: value\}"),
+        ([3], "neither a name"),
+    ],
+)
+def test_what_cannot_work_is_refused_in_one_sentence(wrappers, match) -> None:
+    with pytest.raises(ConfigError, match=match):
+        wrap(Constant(), wrappers)
+
+
+def test_all_are_there() -> None:
+    assert set(WRAPPERS) == {"flip_averaged", "scaled", "median_scaled", "clipped", "cached"}
