@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from prgbd.core.errors import ConfigError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
+
+log = logging.getLogger(__name__)
 
 # Recordings stay small: images no wider than this, the map again only when it has changed by that much.
 _IMAGE_WIDTH = 640
@@ -97,7 +100,10 @@ class RerunViewer:
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None
     ) -> None:
-        self._stream.flush()
+        try:
+            self._stream.flush()
+        except RuntimeError as error:  # the window was closed; that must not cost the result
+            log.warning("Not everything reached the viewer of rerun (%s).", error)
         self._stream.disconnect()
 
     def _log_state(self, index: int, tracked: TrackingResult) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import socket
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -13,6 +16,7 @@ from prgbd.core.errors import ConfigError
 from prgbd.core.slam import GeometricSLAM, TrackingResult
 from prgbd.core.types import Frame, SlamResult
 
+RERUN_PORT = 9876
 CHOICES = ("none", "rerun", "rerun_live")
 
 
@@ -61,7 +65,7 @@ def viewer_maker(choice: str) -> ViewerMaker | None:
         choice: ``none``, ``rerun`` (a recording, no screen needed) or ``rerun_live`` (opens rerun's viewer).
 
     Raises:
-        ConfigError: If the choice is unknown or rerun is not installed.
+        ConfigError: If the choice is unknown, rerun is not installed, or there is neither a screen nor a viewer.
     """
     if choice not in CHOICES:
         raise ConfigError(f"viz={choice} is unknown; choose {', '.join(CHOICES)}.")
@@ -69,6 +73,10 @@ def viewer_maker(choice: str) -> ViewerMaker | None:
         return None
     if importlib.util.find_spec("rerun") is None:
         raise ConfigError(f"viz={choice} needs rerun; pip install 'prgbd[viz]'.")
+    if choice == "rerun_live" and not (_has_screen() or _viewer_listens()):
+        raise ConfigError(
+            "viz=rerun_live needs a screen, or a viewer of rerun that runs already; use viz=rerun for a recording."
+        )
 
     def make(sequence: Sequence, path: Path) -> SlamViewer:
         from prgbd.loop.rerun_viewer import RerunViewer
@@ -77,3 +85,14 @@ def viewer_maker(choice: str) -> ViewerMaker | None:
         return RerunViewer(sequence.name, sequence.camera, recording)
 
     return make
+
+
+def _has_screen() -> bool:
+    return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _viewer_listens() -> bool:
+    """Say whether somebody answers at rerun's port on this machine, for example through an SSH tunnel."""
+    with socket.socket() as probe:
+        probe.settimeout(0.5)
+        return probe.connect_ex(("127.0.0.1", RERUN_PORT)) == 0

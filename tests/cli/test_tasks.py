@@ -145,6 +145,12 @@ def test_maps_are_kept_in_the_run_and_taken_from_a_file(run, cli, monkeypatch):
     assert calls == [("save", Path("new.npz"))]
 
 
+def test_every_loop_can_be_recorded_for_rerun(run):
+    pytest.importorskip("rerun")
+    run("task.max_loops=1", "viz=rerun")
+    assert files(Path("run/viz")) == {"00-wall.rrd", "01-wall.rrd"}
+
+
 def test_maps_that_cannot_be_are_named(cli):
     def sentence(*arguments):
         answer = cli(*FAKES, *arguments, "out=wrong")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 
 from prgbd.core.errors import ConfigError
 from prgbd.core.slam import SlamView
+from prgbd.loop import viewing
 from prgbd.loop.slam_runs import run_slam, sensor_input
 from prgbd.loop.viewing import SilentViewer, viewer_maker
 from tests.loop.fakes import Sideways, Wall
@@ -85,6 +87,22 @@ def test_an_unknown_viewer_and_a_missing_package_are_named(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'prgbd\[viz\]'"):
         viewer_maker("rerun")
+
+
+def test_a_live_viewer_needs_a_screen_or_a_running_viewer(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: True)
+    monkeypatch.setattr(viewing.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        monkeypatch.setattr(viewing, "RERUN_PORT", closed.getsockname()[1])
+        with pytest.raises(ConfigError, match=r"needs a screen.*use viz=rerun "):
+            viewer_maker("rerun_live")
+        closed.listen()
+        assert viewer_maker("rerun_live") is not None
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert viewer_maker("rerun_live") is not None
 
 
 @pytest.mark.parametrize("system", [Telling, Sideways])
