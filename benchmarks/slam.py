@@ -6,17 +6,23 @@ Examples:
     python benchmarks/slam.py kitti_odometry mode=pseudo_rgbd data.root=../shared/data/kitti_odometry \
         depth=rt_monodepth depth.weights=../shared/data/weights/rt_monodepth_s/ms_640_192 slam.realtime=true
     python benchmarks/slam.py kitti_odometry mode=mono data.root=../shared/data/kitti_odometry \
-        --compare ../shared/reference/trajectories/orb_slam2/kitti00_mono.tum --compare-fps 10
+        --compare orb_slam2=../shared/reference/trajectories/orb_slam2/kitti00_mono.tum --compare-fps 10
     python benchmarks/slam.py synthetic mode=rgbd data.frames=3000 data.sensor_depth=true --per 500
 
 Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metres), depth_percentile (which percentile
 of the predicted depth counts as the largest; 100 is the paper's), slam.*, data.* and depth.* for the plug-ins.
+
+What is counted: the wall time of every call of track, and of finish apart from it. Reading frames and predicting their
+depth is not: frames are read ahead, --read-ahead MiB at a time, while the clock stands, and a short run before the first
+seed loads or compiles the kernels. With slam.realtime=true the mapper goes on while the next block is read; give a
+--read-ahead that holds all frames for a rate without that advantage.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -31,8 +37,11 @@ from slam_trajectories import Aligned, align, read_tum
 import prgbd
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.core.types import Trajectory
 
-FLAGS = ("seeds", "frames", "per", "json", "png", "compare", "compare_fps")
+FLAGS = ("seeds", "frames", "per", "json", "png", "compare", "compare_fps", "read_ahead")
+SETTINGS = ("mode", "baseline", "depth_percentile", "slam", "depth")
+OURS = "prgbd"
 
 
 def parse(arguments: list[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
@@ -43,8 +52,13 @@ def parse(arguments: list[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="run seeds 0..N-1 and give the median")
     parser.add_argument("--frames", default="", metavar="A:B[:STEP]", help="use only these frames")
     parser.add_argument("--per", type=int, default=0, metavar="N", help="print the time of every N frames")
-    parser.add_argument("--compare", action="append", default=[], metavar="FILE.tum", help="another system's poses")
+    parser.add_argument(
+        "--compare", action="append", default=[], metavar="[NAME=]FILE.tum", help="another system's poses; repeatable"
+    )
     parser.add_argument("--compare-fps", type=float, help="its frame is round(time * FPS); default: nearest time")
+    parser.add_argument(
+        "--read-ahead", type=int, default=1024, metavar="MIB", help="read this much ahead at a time (default 1024)"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the figures there too")
     parser.add_argument("--png", metavar="FILE", help="the picture (default: SEQUENCE_MODE.png)")
     flags = []
@@ -53,6 +67,9 @@ def parse(arguments: list[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
         known = equals and not name.startswith("-") and name.replace("-", "_") in FLAGS
         flags += [f"--{name.replace('_', '-')}", value] if known else [argument]
     chosen = parser.parse_intermixed_args(flags)
+    for name, least in (("seeds", 1), ("per", 0), ("read_ahead", 1)):
+        if getattr(chosen, name) < least:
+            raise ConfigError(f"--{name.replace('_', '-')} is {getattr(chosen, name)}; give at least {least}.")
     return chosen, read_settings(chosen.settings)
 
 
@@ -68,8 +85,28 @@ def read_settings(settings: list[str]) -> dict[str, Any]:
             group, dot, key = name, ".", "id"
         if dot and group not in found:
             raise ConfigError(f"'{setting}' belongs to no group; write data.*, slam.* or depth.*.")
-        (found[group] if dot else found)[key if dot else name] = yaml.safe_load(value)
+        if not dot and name not in SETTINGS:
+            raise ConfigError(f"There is no setting '{name}'; choose {', '.join(SETTINGS)}, slam.*, data.* or depth.*.")
+        try:
+            (found[group] if dot else found)[key if dot else name] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ConfigError(f"The value of '{setting}' cannot be read as YAML; quote it.") from None
     return found
+
+
+def number(settings: dict[str, Any], name: str, most: float = math.inf) -> float | None:
+    """Return a positive number out of the settings, None if it is not given.
+
+    Raises:
+        ConfigError: If it is none, or larger than ``most``.
+    """
+    value = settings.get(name)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= most:
+        limit = "" if math.isinf(most) else f" of at most {most:g}"
+        raise ConfigError(f"{name}={value} cannot be used; give a positive number{limit}.")
+    return float(value)
 
 
 def positions(text: str, count: int) -> range:
@@ -81,7 +118,7 @@ def positions(text: str, count: int) -> range:
     except (ValueError, TypeError):
         raise ConfigError(f"--frames is '{text}'; write A:B or A:B:STEP.") from None
     if len(chosen) < 2 or chosen.step < 1:
-        raise ConfigError(f"--frames is '{text}', which leaves no {2} frames of {count} in order.")
+        raise ConfigError(f"--frames is '{text}', which leaves fewer than two frames of {count} in order.")
     return chosen
 
 
@@ -154,18 +191,19 @@ def print_loops(run: Measured, truth: NDArray[np.float64] | None) -> None:
         )
 
 
-def print_blocks(run: Measured, size: int) -> None:
+def print_blocks(run: Measured, size: int, positions: range) -> None:
     """Print the time of every ``size`` frames."""
     print("  time per frame")
     for start in range(0, len(run.seconds), size):
         block = run.seconds[start : start + size]
-        print(f"    frames {start:5d}-{start + len(block) - 1:<5d} {1000 * block.mean():7.1f} ms")
+        first, last = positions[start], positions[start + len(block) - 1]
+        print(f"    frames {first:5d}-{last:<5d} {1000 * block.mean():7.1f} ms")
 
 
 def compare(ours: Aligned, others: dict[str, Aligned], truth: NDArray[np.float64], run: Measured) -> None:
     """Print other systems beside ours, each on its own frames and on those that both have."""
     print(f"  {'system':<22}{'frames':>8}{'ATE Sim3':>10}{'both have':>11}{'its ATE':>9}{'ours':>9}  (m)")
-    print(f"  {'prgbd':<22}{len(ours.frames):8d}{ours.rmse:10.4f}")
+    print(f"  {OURS:<22}{len(ours.frames):8d}{ours.rmse:10.4f}")
     for name, other in others.items():
         common = np.intersect1d(ours.frames, other.frames)
         mine = align(run.result.trajectory, truth, scale=True, only=common)
@@ -176,38 +214,69 @@ def compare(ours: Aligned, others: dict[str, Aligned], truth: NDArray[np.float64
         )
 
 
-def report(chosen: argparse.Namespace, source: Source, runs: list[Measured]) -> dict[str, Any]:
+def read_others(chosen: argparse.Namespace, sequence: Sequence) -> dict[str, Trajectory]:
+    """Read the other systems' trajectories by name; without ``NAME=`` that is the file's.
+
+    Raises:
+        ConfigError: If two have the same name, or the recording has no truth to compare with.
+    """
+    found: dict[str, Trajectory] = {}
+    if chosen.compare and sequence.poses is None:
+        raise ConfigError(f"--compare needs true poses, but the sequence '{sequence.name}' has none; drop it.")
+    for text in chosen.compare:
+        name, equals, file = text.partition("=")
+        if not equals or Path(text).is_file():
+            name, file = Path(text).stem, text
+        if name in found or name == OURS:
+            raise ConfigError(f"Two trajectories are named '{name}'; write --compare NAME={file} with another name.")
+        found[name] = read_tum(Path(file), sequence.timestamps, chosen.compare_fps)
+    return found
+
+
+def middle_of(found: list[dict[str, Any]]) -> int:
+    """Return the run with the (lower) median error; a run without an error is worse than any other."""
+    errors = [one["ate_sim3_m"] if one["ate_sim3_m"] is not None else math.inf for one in found]
+    return int(np.argsort(errors, kind="stable")[(len(found) - 1) // 2])
+
+
+def print_seeds(found: list[dict[str, Any]], middle: int) -> None:
+    """Print every seed, and what the worst of them did: a median hides a lost run."""
+    for seed, one in enumerate(found):
+        error = "no ATE, " if one["ate_sim3_m"] is None else f"ATE {one['ate_sim3_m']:.4f} m, "
+        print(f"  seed {seed}: {error}{one['tracked']}/{one['frames']} tracked, {one['fps']:.1f} frames/s")
+    fewest = min(one["tracked"] for one in found)
+    print(f"  all seeds track at least {fewest} of {found[0]['frames']} frames; the median (seed {middle}):")
+
+
+def report(
+    chosen: argparse.Namespace, source: Source, runs: list[Measured], trajectories: dict[str, Trajectory]
+) -> dict[str, Any]:
     """Print all runs, draw the median one and return the figures."""
     sequence, truth = source.sequence, source.sequence.poses
     found = [figures(run, truth) for run in runs]
-    order = np.argsort([f["ate_sim3_m"] if f["ate_sim3_m"] is not None else 0.0 for f in found], kind="stable")
-    middle = int(order[(len(order) - 1) // 2])
+    middle = middle_of(found)
     title = f"{chosen.data} {sequence.name}, {source.mode}"
     print(title)
     if len(runs) > 1:
-        for seed, one in enumerate(found):
-            error = "" if one["ate_sim3_m"] is None else f"ATE {one['ate_sim3_m']:.4f} m, "
-            print(f"  seed {seed}: {error}{one['tracked']}/{one['frames']} tracked, {one['fps']:.1f} frames/s")
-        print(f"  the median (seed {middle}):")
+        print_seeds(found, middle)
     print_figures(found[middle], source.mode)
     run = runs[middle]
     ours = errors_of(run, truth)
     if ours is not None and truth is not None:
-        others = {
-            Path(file).stem: align(read_tum(Path(file), sequence.timestamps, chosen.compare_fps), truth, scale=True)
-            for file in chosen.compare
-        }
+        others = {name: align(other, truth, scale=True) for name, other in trajectories.items()}
         if others:
             compare(ours, others, truth, run)
         picture = Path(chosen.png or f"{sequence.name.replace('/', '_')}_{source.mode}.png")
         heading = f"{title}: ATE {ours.rmse:.3f} m, {run.result.tracked_frames}/{run.result.frames} tracked"
-        named = {"prgbd": ours, **others}
-        draw(picture, truth[:, :3, 3], named, run.result.keyframes.frame_index, run.result.states, run.seconds, heading)
+        named = {OURS: ours, **others}
+        lost = [i for i, state in zip(source.positions, run.result.states, strict=True) if state != "ok"]
+        frames = np.array(source.positions)
+        draw(picture, truth[:, :3, 3], named, run.result.keyframes.frame_index, lost, frames, run.seconds, heading)
         print(f"  picture         {picture}")
     print_loops(run, truth)
     print_stages(run)
     if chosen.per:
-        print_blocks(run, chosen.per)
+        print_blocks(run, chosen.per, source.positions)
     return {"title": title, "runs": found, "median": middle, "stages_ms": run.result.stats.get("stages_ms", {})}
 
 
@@ -221,12 +290,14 @@ def main(arguments: list[str]) -> int:
             settings.get("mode", "mono"),
             positions(chosen.frames, len(sequence)),
             settings["depth"],
-            settings.get("baseline"),
-            float(settings.get("depth_percentile", 100.0)),
+            number(settings, "baseline"),
+            number(settings, "depth_percentile", 100.0) or 100.0,
+            chosen.read_ahead << 20,
         )
+        others = read_others(chosen, sequence)
         warm_up(source, settings["slam"])
         runs = [measure(source, settings["slam"], seed, f"seed {seed}") for seed in range(chosen.seeds)]
-        found = report(chosen, source, runs)
+        found = report(chosen, source, runs, others)
         if chosen.json:
             Path(chosen.json).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     except PrgbdError as error:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import resource
 import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -22,8 +24,6 @@ from prgbd.core.types import Frame, SlamResult
 # ORB-SLAM2's TUM settings: bf = 40 at fx = 500.
 KINECT_BASELINE = 0.08
 KITTI_BASELINE_OF_DEPTH = 0.54 / 80.0
-# Frames are read ahead, with the clock stopped, up to this many bytes at a time.
-READ_AHEAD = 1 << 30
 # Frames of a first run that is not counted: it loads or compiles kernels.
 WARM_UP = 6
 
@@ -38,6 +38,7 @@ class Source:
         positions: Frames to use, in order.
         baseline: Metres, None for mono.
         inverse: Predicted inverse depth by frame, for ``pseudo_rgbd``.
+        read_ahead: Bytes of frames that are read at a time, with the clock stopped.
     """
 
     sequence: Sequence
@@ -45,6 +46,7 @@ class Source:
     positions: range
     baseline: float | None = None
     inverse: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    read_ahead: int = 1 << 30
 
     def frame(self, i: int) -> Frame:
         """Return frame ``i`` as SLAM is to see it."""
@@ -57,10 +59,10 @@ class Source:
         return frame
 
     def blocks(self) -> Iterator[list[Frame]]:
-        """Yield the frames in blocks that fit into ``READ_AHEAD``."""
+        """Yield the frames in blocks that fit into ``read_ahead``."""
         first = self.frame(self.positions[0])
         size = sum(a.nbytes for a in (first.image, first.depth, first.right) if a is not None)
-        step = max(1, READ_AHEAD // size)
+        step = max(1, self.read_ahead // size)
         for start in range(0, len(self.positions), step):
             yield [self.frame(i) for i in self.positions[start : start + step]]
 
@@ -74,7 +76,7 @@ class Measured:
         seconds: (F,) wall time of every ``track``.
         cpu_seconds: (F,) CPU time of the calling thread in every ``track``.
         finish_seconds: Wall time of ``finish``.
-        peak_mib: Peak memory of the process, MiB, with the frames that were read ahead.
+        peak_mib: Peak memory of the process during this run, MiB, with the frames that were read ahead.
     """
 
     result: SlamResult
@@ -95,16 +97,24 @@ class Measured:
 
 
 def make_source(
-    sequence: Sequence, mode: str, positions: range, depth: dict[str, Any], baseline: float | None, percentile: float
+    sequence: Sequence,
+    mode: str,
+    positions: range,
+    depth: dict[str, Any],
+    baseline: float | None,
+    percentile: float,
+    read_ahead: int,
 ) -> Source:
     """Choose the baseline, and predict depth where the mode asks for it.
 
     Raises:
-        ConfigError: If the mode does not exist.
+        ConfigError: If the mode does not exist, or the recording lacks the right images that it needs.
     """
     if mode not in ("mono", "rgbd", "stereo", "pseudo_rgbd"):
         raise ConfigError(f"There is no mode '{mode}'; choose mono, rgbd, stereo or pseudo_rgbd.")
-    source = Source(sequence, mode, positions)
+    if mode == "stereo" and (sequence.frame(positions[0]).right is None or not (baseline or sequence.baseline)):
+        raise ConfigError(f"The sequence '{sequence.name}' has no right images; mode=stereo needs them.")
+    source = Source(sequence, mode, positions, read_ahead=read_ahead)
     if mode == "pseudo_rgbd":
         source.inverse = _predict(sequence, positions, depth)
         lowest = np.percentile(np.stack(list(source.inverse.values())), 100.0 - percentile)
@@ -130,6 +140,7 @@ def measure(source: Source, slam: dict[str, Any], seed: int, label: str = "slam"
     """Run SLAM once over all frames; reading frames is not counted."""
     seconds: list[float] = []
     cpu: list[float] = []
+    _forget_peak()
     with _made(source, slam, seed) as system:
         with tqdm(total=len(source.positions), desc=label, disable=not sys.stderr.isatty(), leave=False) as bar:
             for block in source.blocks():
@@ -142,8 +153,23 @@ def measure(source: Source, slam: dict[str, Any], seed: int, label: str = "slam"
         start = time.perf_counter()
         result = system.finish()
         ended = time.perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return Measured(result, np.array(seconds), np.array(cpu), ended, peak)
+    return Measured(result, np.array(seconds), np.array(cpu), ended, _peak_mib())
+
+
+def _forget_peak() -> None:
+    """Let the peak of memory start anew, where Linux allows it; elsewhere it is that of the process so far."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak_mib() -> float:
+    """Peak resident memory of the process, MiB: since ``_forget_peak`` where /proc tells it."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1024.0
+    unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def warm_up(source: Source, slam: dict[str, Any]) -> None:

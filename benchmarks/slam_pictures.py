@@ -21,7 +21,8 @@ def draw(
     truth: NDArray[np.float64],
     named: dict[str, Aligned],
     keyframes: NDArray[np.int64],
-    states: list[str],
+    lost: list[int],
+    frames: NDArray[np.int64],
     seconds: NDArray[np.float64],
     title: str,
 ) -> None:
@@ -32,8 +33,9 @@ def draw(
         truth: (F, 3) true positions, not finite where unknown.
         named: Name -> aligned trajectory; the first one is ours.
         keyframes: (K,) frames that are keyframes of ours.
-        states: State of every frame of ours, for the frames in order.
-        seconds: Wall time of every frame.
+        lost: Frames without a pose of ours.
+        frames: (N,) frames that were used.
+        seconds: (N,) wall time of each.
         title: Of the picture.
     """
     figure, axes = plt.subplots(2, 2, figsize=(13, 10))
@@ -43,12 +45,12 @@ def draw(
         axes[1, 0].plot(aligned.frames, aligned.errors, color=colour, lw=1, label=f"{name}, RMSE {aligned.rmse:.3f} m")
     axes[1, 0].set(xlabel="frame", ylabel="position error [m]")
     axes[1, 0].legend()
-    axes[1, 1].plot(1000 * seconds, ".", ms=2, color="0.4")
+    axes[1, 1].plot(frames, 1000 * seconds, ".", ms=2, color="0.4")
     axes[1, 1].set(xlabel="frame", ylabel="time of track [ms]", ylim=(0, 1100 * float(np.percentile(seconds, 99))))
-    lost = [i for i, state in enumerate(states) if state != "ok"]
+    half = 0.5 * float(frames[1] - frames[0])
     for axis in (axes[1, 0], axes[1, 1]):
         for i in lost:
-            axis.axvspan(i - 0.5, i + 0.5, color="tab:red", alpha=0.15, lw=0)
+            axis.axvspan(i - half, i + half, color="tab:red", alpha=0.15, lw=0)
     figure.suptitle(title)
     figure.tight_layout()
     figure.savefig(path, dpi=80)

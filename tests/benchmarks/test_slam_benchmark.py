@@ -1,5 +1,6 @@
 """The SLAM benchmark as a user runs it, on a small synthetic world."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -32,7 +33,8 @@ def printed(tmp_path_factory):
     ]
     (folder / "other.tum").write_text("\n".join(rows) + "\n")
     run = benchmark(
-        "synthetic", "mode=rgbd", *WORLD, "--seeds", "2", "--per", "5", "--compare", "other.tum", "--compare-fps", "10",
+        "synthetic", "mode=rgbd", *WORLD, "--seeds", "2", "--per", "5", "--compare", "other.tum",
+        "--compare", "shifted=other.tum", "--compare-fps", "10", "--read-ahead", "1",
         "json=figures.json", "png=picture.png", cwd=folder,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
@@ -73,6 +75,11 @@ def test_another_system_stands_beside_ours_on_the_frames_that_both_have(printed)
         (["synthetic", "speed"], "speed"),
         (["synthetic", "lidar.range=3"], "lidar.range"),
         (["synthetic", *WORLD, "mode=rgbd", "--compare", "missing.tum"], "missing.tum"),
+        (["synthetic", *WORLD, "mode=rgbd", "--compare", "prgbd=missing.tum"], "prgbd"),
+        (["synthetic", *WORLD, "mdoe=rgbd"], "mdoe"),
+        (["synthetic", *WORLD, "mode=rgbd", "baseline=wide"], "baseline"),
+        (["synthetic", *WORLD, "mode=stereo"], "right images"),
+        (["synthetic", "--seeds", "0"], "--seeds"),
     ],
 )
 def test_nonsense_is_one_sentence(arguments, expected, tmp_path):
@@ -81,3 +88,25 @@ def test_nonsense_is_one_sentence(arguments, expected, tmp_path):
     assert expected in run.stderr
     assert "Traceback" not in run.stderr
     assert len(run.stderr.strip().splitlines()) == 1
+
+
+def test_a_name_before_the_file_is_printed_instead_of_its_own(printed):
+    rows = [line.split() for line in printed[1].splitlines()]
+    own = next(row for row in rows if row[:1] == ["other"])
+    assert next(row for row in rows if row[:1] == ["shifted"])[1:] == own[1:]
+
+
+def test_frames_keep_their_numbers_when_only_some_are_used(tmp_path):
+    run = benchmark("synthetic", "mode=rgbd", *WORLD, "frames=4:14:2", "per=3", cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    assert "tracked frames  5 of 5" in run.stdout
+    assert "frames     4-8" in run.stdout
+    assert "frames    10-12" in run.stdout
+
+
+def test_a_run_that_found_no_pose_is_the_worst_and_never_the_median(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    slam = importlib.import_module("slam")
+    errors = (None, 0.3, 0.1)
+    assert slam.middle_of([{"ate_sim3_m": error} for error in errors]) == 1
+    assert slam.middle_of([{"ate_sim3_m": None}, {"ate_sim3_m": 0.1}]) == 1
