@@ -13,9 +13,9 @@ Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metre
 of the predicted depth counts as the largest; 100 is the paper's), slam.*, data.* and depth.* for the plug-ins.
 
 What is counted: the wall time of every call of track, and of finish apart from it. Reading frames and predicting their
-depth is not: frames are read ahead, --read-ahead MiB at a time, while the clock stands, and a short run before the first
-seed loads or compiles the kernels. With slam.realtime=true the mapper goes on while the next block is read; give a
---read-ahead that holds all frames for a rate without that advantage.
+depth is not: the clock stands while --read-ahead MiB of frames are read, and a short run before the first seed loads or
+compiles the kernels. With slam.realtime=true the mapper goes on while the next block is read; give a --read-ahead that
+holds all frames for a rate without that advantage.
 """
 
 from __future__ import annotations
