@@ -71,8 +71,8 @@ def make_parts(config: Mapping[str, Any]) -> Parts:
     if use_slam:
         parts.baseline = _baseline(config)
         parts.make_slam = _slam_factory(config, ids["slam"])
-        parts.make_slam().close()  # options and imports are checked now, not after the depth of a whole video
-        parts.mode = parts.mode or _mode_of_sequences(sequences)
+        with parts.make_slam() as system:  # options and imports are checked now, not after the depth of a whole video
+            parts.mode = parts.mode or _mode_of_sequences(sequences, system.modes)
     if use_depth:
         seed_everything(int(config["seed"]))
         parts.estimator = _wrapped(config, REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth")))
@@ -157,8 +157,17 @@ def _mode(config: Mapping[str, Any], task: str, ids: Mapping[str, str]) -> str:
     return mode
 
 
-def _mode_of_sequences(sequences: list[Sequence]) -> str:
-    return "rgbd" if all(sequence.frame(0).depth is not None for sequence in sequences) else "mono"
+def _mode_of_sequences(sequences: list[Sequence], modes: frozenset[str]) -> str:
+    """The mode that uses most of what all recordings have, and that the system knows if it is stereo."""
+    if all(sequence.frame(0).depth is not None for sequence in sequences):
+        return "rgbd"
+    return "stereo" if "stereo" in modes and all(_is_stereo(sequence) for sequence in sequences) else "mono"
+
+
+def _is_stereo(sequence: Sequence) -> bool:
+    """Whether the right images reach from the first frame to the last: downloads that broke off have fewer."""
+    ends = (0, len(sequence) - 1)
+    return bool(sequence.baseline) and all(sequence.frame(index).right is not None for index in ends)
 
 
 def _baseline(config: Mapping[str, Any]) -> float | None:

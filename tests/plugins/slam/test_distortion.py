@@ -9,6 +9,8 @@ import pytest
 import prgbd
 from prgbd.core.types import Frame
 from prgbd.evaluation.trajectory import evaluate_trajectory
+from prgbd.plugins.data._camera import Undistorter
+from prgbd.plugins.data.tum_rgbd import FAMILIES, TumRgbdSequence
 from prgbd.plugins.slam.orb_gtsam.frame_features import FrameReader
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -64,3 +66,22 @@ def test_the_trajectory_is_that_of_the_undistorted_camera(sequence):
     assert result.tracked_frames == 20
     figures = evaluate_trajectory(result.trajectory, 20, sequence.poses, sequence.timestamps, alignment="se3")
     assert figures["ate_rmse"] < 0.02
+
+
+def test_a_real_lens_needs_no_undistorted_images(shared_data):
+    folder = shared_data / "tum_rgbd"
+    sequence = TumRgbdSequence(folder)
+    recording = folder / "rgbd_dataset_freiburg1_rpy"
+    camera = FAMILIES["freiburg1"]
+    sequence._undistorter = Undistorter(camera.undistorted())  # images and depth as they were recorded
+    recorded = cv2.imread(str(next(iter(sorted((recording / "rgb").iterdir())))))
+    np.testing.assert_array_equal(sequence.frame(0).image, cv2.cvtColor(recorded, cv2.COLOR_BGR2RGB))
+    with prgbd.make_slam("orb_gtsam") as slam:
+        slam.reset(camera, "rgbd", baseline=0.08, fps=sequence.fps)
+        for index in range(len(sequence)):
+            slam.track(sequence.frame(index))
+        result = slam.finish()
+    assert result.camera == camera.undistorted()
+    assert result.tracked_frames == len(sequence) == 60
+    figures = evaluate_trajectory(result.trajectory, 60, sequence.poses, sequence.timestamps)
+    assert figures["ate_rmse"] < 0.04
