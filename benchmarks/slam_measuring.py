@@ -183,7 +183,9 @@ def warm_up(source: Source, slam: dict[str, Any]) -> None:
 def _made(source: Source, slam: dict[str, Any], seed: int) -> prgbd.GeometricSLAM:
     options = dict(slam)
     system = prgbd.make_slam(options.pop("id", "orb_gtsam"), **options)
-    mode = "rgbd" if source.mode == "pseudo_rgbd" else source.mode
+    # Systems without a mode of their own for pseudo depth take it as a sensor's.
+    own = source.mode in system.modes
+    mode = "rgbd" if source.mode == "pseudo_rgbd" and not own else source.mode
     sequence = source.sequence
     fps = sequence.fps / source.positions.step
     system.reset(sequence.camera, mode, baseline=source.baseline, fps=fps, seed=seed)

@@ -95,8 +95,8 @@ class CheckedSLAM(GeometricSLAM):
             f"Frame {frame.index}",
             f"has the time stamp {frame.timestamp:g} s, not later than the frame before ({self._last:g} s).",
         )
-        if self._mode == "rgbd" and frame.depth is None:
-            raise ContractError(f"Frame {frame.index} has no depth, which mode 'rgbd' needs; use mode 'mono'.")
+        if self._mode in ("rgbd", "pseudo_rgbd") and frame.depth is None:
+            raise ContractError(f"Frame {frame.index} has no depth, which mode '{self._mode}' needs; use mode 'mono'.")
         if self._mode == "stereo" and frame.right is None:
             raise ContractError(f"Frame {frame.index} has no right image, which mode 'stereo' needs; use mode 'mono'.")
         result = self.unwrapped.track(frame)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from prgbd.core.errors import ConfigError
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 
-MODES = ("mono", "rgbd", "stereo")
+MODES = ("mono", "rgbd", "pseudo_rgbd", "stereo")
 
 
 class TrackingState(StrEnum):
@@ -68,12 +68,13 @@ class SlamView:
 class GeometricSLAM(ABC):
     """A SLAM system: ``reset``, then ``track`` once per frame in order, then ``finish``; ``close`` frees everything.
 
-    Pseudo RGB-D is mode ``rgbd`` with frames whose depth comes from a ``DepthEstimator`` and whose ``baseline`` is the
-    adaptive virtual one of the paper. Lost tracking is a result, not an exception. An offline system collects frames
-    in ``track`` and works in ``finish``. A system is a context manager that closes itself.
+    Pseudo RGB-D gives frames whose depth comes from a ``DepthEstimator``, and the adaptive virtual ``baseline`` of the
+    paper. A system that treats such depth in its own way lists the mode ``pseudo_rgbd``; others get it as ``rgbd``.
+    Lost tracking is a result, not an exception. An offline system collects frames in ``track`` and works in ``finish``.
+    A system is a context manager that closes itself.
 
     Attributes:
-        modes: The modes that the system supports, out of ``mono``, ``rgbd``, ``stereo``.
+        modes: The modes that the system supports, out of ``mono``, ``rgbd``, ``pseudo_rgbd``, ``stereo``.
     """
 
     modes: ClassVar[frozenset[str]] = frozenset()
@@ -87,7 +88,7 @@ class GeometricSLAM(ABC):
         Args:
             camera: Camera of the frames; without distortion, unless the system says that it undistorts by itself.
             mode: One of ``modes``.
-            baseline: Metres between the (virtual) stereo pair; needed for ``rgbd`` and ``stereo``, None for ``mono``.
+            baseline: Metres between the (virtual) stereo pair; None for ``mono``, else needed.
             fps: Frame rate, for the keyframe decision.
             seed: Seed of everything random.
 

@@ -221,7 +221,7 @@ class SelfImprovingLoop:
         sequence = sensor.sequence
         statistics = sensor.prepare()
         baseline = self.settings.baseline or statistics.adaptive_baseline
-        given = SlamInput(sensor, "rgbd", baseline, statistics)
+        given = SlamInput(sensor, "pseudo_rgbd", baseline, statistics)
         recording = self.store.path("viz", f"{loop:02d}-{sequence.name}")
         viewer = None if self.make_viewer is None else self.make_viewer(sequence, recording)
         result = run_slam(

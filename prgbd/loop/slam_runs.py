@@ -48,7 +48,7 @@ class SlamInput:
 
     Attributes:
         frames: The frames in order, with depth unless ``mode`` is ``mono``.
-        mode: A mode of ``GeometricSLAM``.
+        mode: A mode of ``GeometricSLAM``; ``pseudo_rgbd`` works with every system that knows ``rgbd``.
         baseline: Metres, or None for ``mono``.
         statistics: What the pseudo depth looks like, or None for a sensor's depth.
     """
@@ -122,7 +122,9 @@ def run_slam(
         make_slam() as system,
         monitor.stage(f"SLAM on {sequence.name}", len(sequence)) as progress,
     ):
-        system.reset(sequence.camera, given.mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
+        # A system without a mode of its own for pseudo depth takes it as a sensor's.
+        mode = "rgbd" if given.mode == "pseudo_rgbd" and given.mode not in system.modes else given.mode
+        system.reset(sequence.camera, mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
         if load_map is not None:
             system.load_map(load_map)
         if save_map is not None:

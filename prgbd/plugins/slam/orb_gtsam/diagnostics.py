@@ -2,27 +2,65 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from prgbd.core.slam import SlamView
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
+from prgbd.plugins.slam.orb_gtsam.rig import Rig, measurements
 
 
-def depth_ratio(world: Map, frame: TrackedFrame) -> float:
-    """Return the median of measured depth over map depth of a frame's inliers; NaN without measured depth.
+@dataclass(frozen=True)
+class DepthAgreement:
+    """How the measured depth of a frame's inliers fits the map; NaN without measured depth.
 
-    Far from 1, or wandering, it says that the depth's scale drifts from frame to frame.
+    Attributes:
+        ratio: Median of measured depth over map depth. Far from 1, or wandering, it says that the depth's scale drifts
+            from frame to frame.
+        spread: Robust standard deviation (1.4826 MAD) of the logarithm of that ratio within the frame: the relative
+            error of single depths.
+        rejected: Share of the stereo observations whose pixel agrees with the map but whose depth does not, by the
+            chi-square test with the depth's own uncertainty.
     """
+
+    ratio: float = float("nan")
+    spread: float = float("nan")
+    rejected: float = float("nan")
+
+
+def depth_agreement(world: Map, rig: Rig, frame: TrackedFrame) -> DepthAgreement:
+    """Compare the measured depth of a tracked frame with the map."""
     rows = frame.inliers()
-    measured = frame.features.depth[rows]
-    rows, measured = rows[measured > 0], measured[measured > 0]
+    rows = rows[frame.features.depth[rows] > 0]
+    p = world.points.xyz[frame.points[rows]] @ frame.cTw[:3, :3].T + frame.cTw[:3, 3]
+    front = p[:, 2] > 1e-6
+    rows, p = rows[front], p[front]
     if len(rows) == 0:
-        return float("nan")
-    z = world.points.xyz[frame.points[rows]] @ frame.cTw[2, :3] + frame.cTw[2, 3]
-    front = z > 1e-6
-    return float(np.median(measured[front] / z[front])) if front.any() else float("nan")
+        return DepthAgreement()
+    ratio = frame.features.depth[rows] / p[:, 2]
+    logs = np.log(ratio)
+    spread = 1.4826 * float(np.median(np.abs(logs - np.median(logs))))
+    seen = rig.camera.project(p)
+    stereo = frame.features.u_right[rows] >= 0
+    fits = rig.fits(frame.features, rows, measurements(seen, seen[:, 0] - rig.bf / p[:, 2]), depth_counts=True)
+    rejected = float(np.mean(~fits[stereo])) if stereo.any() else float("nan")
+    return DepthAgreement(float(np.median(ratio)), spread, rejected)
+
+
+def depth_figures(agreements: list[DepthAgreement]) -> dict[str, list[float | None]]:
+    """Return the figures of all frames as plain lists for the statistics, None where there is none."""
+
+    def plain(values: list[float]) -> list[float | None]:
+        return [None if np.isnan(value) else round(value, 4) for value in values]
+
+    return {
+        "depth_ratio": plain([a.ratio for a in agreements]),
+        "depth_spread": plain([a.spread for a in agreements]),
+        "depth_rejected": plain([a.rejected for a in agreements]),
+    }
 
 
 def map_sizes(world: Map) -> dict[str, int]:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.plugins.slam.orb_gtsam.depth_noise import spread_around
 from prgbd.plugins.slam.orb_gtsam.feature_kernels import (
     cell_order,
     corners,
@@ -98,6 +99,7 @@ class OrbExtractor:
         depth: NDArray[np.float32] | None,
         bf: float,
         trusted: float = np.inf,
+        border: float = 0.0,
         *,
         undistort: Undistort | None = None,
     ) -> Features:
@@ -108,6 +110,7 @@ class OrbExtractor:
             depth: (H, W) float32 metres, 0 where unknown, or None.
             bf: Baseline times fx, metres times pixels, of the (virtual) stereo pair.
             trusted: Depths beyond give no right column.
+            border: Nor do depths that differ by more than this share around the keypoint; 0 lets all of them.
             undistort: Moves keypoints to an ideal camera and says which lie within its image; depth and colour are
                 read where the keypoint was found.
 
@@ -137,6 +140,8 @@ class OrbExtractor:
         measured = np.zeros(len(uv), np.float32) if depth is None else depth[v, u].astype(np.float32)
         measured[~np.isfinite(measured) | (measured <= 0)] = 0
         stereo = (measured > 0) & (measured <= trusted)
+        if depth is not None and border > 0:
+            stereo &= spread_around(depth)[v, u] <= border
         with np.errstate(divide="ignore", invalid="ignore"):
             u_right = np.where(stereo, uv[:, 0] - np.float32(bf) / measured, np.float32(-1)).astype(np.float32)
         return Features(

@@ -15,6 +15,8 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.stereo_matching import match_stereo
 from prgbd.plugins.slam.orb_gtsam.undistortion import Undistortion
 
+_WITH_DEPTH = ("rgbd", "pseudo_rgbd")
+
 
 class FrameReader:
     """Finds the keypoints of frames.
@@ -22,7 +24,7 @@ class FrameReader:
     Args:
         settings: Thresholds.
         camera: The camera as it is, distorted or not.
-        mode: ``mono``, ``rgbd`` or ``stereo``.
+        mode: ``mono``, ``rgbd``, ``pseudo_rgbd`` or ``stereo``.
 
     Raises:
         ConfigError: If a stereo camera is distorted.
@@ -47,9 +49,11 @@ class FrameReader:
         """
         shape = (self.camera.height, self.camera.width)
         self._check_image(frame.index, "an image", frame.image, shape)
-        if self.mode == "rgbd" and (frame.depth is None or frame.depth.shape != shape):
+        if self.mode in _WITH_DEPTH and (frame.depth is None or frame.depth.shape != shape):
             found = None if frame.depth is None else frame.depth.shape
-            raise ContractError(f"Frame {frame.index} has depth {found}, but mode 'rgbd' needs {shape}; use 'mono'.")
+            raise ContractError(
+                f"Frame {frame.index} has depth {found}, but mode '{self.mode}' needs {shape}; use 'mono'."
+            )
         if self.mode == "stereo":
             if frame.right is None:
                 raise ContractError(
@@ -66,8 +70,10 @@ class FrameReader:
 
     def read(self, frame: Frame, rig: Rig) -> Features:
         """Find the keypoints of a frame, in undistorted pixels, with depth where the mode has it."""
-        depth = frame.depth if self.mode == "rgbd" else None
-        features = self.left.extract(frame.image, depth, rig.bf, rig.trusted_depth, undistort=self._undistort)
+        depth = frame.depth if self.mode in _WITH_DEPTH else None
+        features = self.left.extract(
+            frame.image, depth, rig.bf, rig.trusted_depth, rig.noise.border, undistort=self._undistort
+        )
         if self._right is None or frame.right is None:
             return features
         right = self._right.extract(frame.right, None, rig.bf)

@@ -71,8 +71,9 @@ class TrackedFrame:
             np.ascontiguousarray(cTw0),
             world.points.xyz[self.points[rows]],
             rig.measured(self.features, rows),
-            rig.inverse_variance[self.features.octave[rows]],
+            rig.weights(self.features.octave[rows], self.features.depth[rows]),
             *rig.intrinsics,
+            depth_fallback=rig.noise.fallback,
         )
         self.cTw = cTw
         self.outlier[rows] = ~inlier

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.slam import TrackingResult, TrackingState
 from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
-from prgbd.plugins.slam.orb_gtsam.diagnostics import depth_ratio
+from prgbd.plugins.slam.orb_gtsam.diagnostics import DepthAgreement, depth_agreement
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.history import History
 from prgbd.plugins.slam.orb_gtsam.initialisation import Starter
@@ -36,7 +36,7 @@ class FrontEnd:
 
     Attributes:
         history: What became of every frame.
-        depth_ratios: Per frame the ratio of measured depth to that in the map, NaN where unknown.
+        depth_agreements: Per frame how its measured depth fits the map.
 
     Args:
         tracker: Finds poses in the map.
@@ -60,7 +60,7 @@ class FrontEnd:
         self.backend, self.watch = backend, watch
         self.settings, self.rig, self.world, self.near = tracker.settings, tracker.rig, tracker.world, tracker.near
         self.history = History()
-        self.depth_ratios: list[float] = []
+        self.depth_agreements: list[DepthAgreement] = []
         self._fps = fps
         self._started = False
         # Lost frames in a row, those of them that showed something, and whether a new map is being tried.
@@ -77,7 +77,7 @@ class FrontEnd:
     def take(self, frame: TrackedFrame) -> tuple[TrackingResult, list[Handover]]:
         """Track a frame; the caller holds ``Map.lock``, and passes the keyframes on after giving it back."""
         self._handovers = []
-        self.depth_ratios.append(float("nan"))
+        self.depth_agreements.append(DepthAgreement())
         result = self._continue(frame) if self._started else self._start(frame, TrackingState.NOT_INITIALIZED)
         self.history.add(result.state, result.inliers)
         return result, self._handovers
@@ -124,7 +124,7 @@ class FrontEnd:
             # The way from the last tracked frame is no motion between two frames.
             tracker.last = None
         self._found()
-        self.depth_ratios[-1] = depth_ratio(self.world, frame)
+        self.depth_agreements[-1] = depth_agreement(self.world, self.rig, frame)
         keyframe = self._wants_keyframe(frame, inliers)
         if keyframe:
             # Outliers go along: bundle adjustment, not one frame, decides about them.

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.matching import match_by_projection
-from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
@@ -46,13 +45,11 @@ def fuse_into(world: Map, rig: Rig, settings: Settings, k: int, points: IntArray
         features,
         rig.columns,
         limit=settings.distance_low,
+        slack=rig.right_slack(features.depth),
     )
     matched = found >= 0
     points, rows, uvr = points[matched], found[matched], uvr[matched]
-    error = rig.measured(features, rows) - uvr
-    stereo = features.u_right[rows] >= 0
-    square = error[:, 0] ** 2 + error[:, 1] ** 2 + np.where(stereo, error[:, 2] ** 2, 0.0)
-    fits = square * rig.inverse_variance[features.octave[rows]] <= np.where(stereo, CHI2_STEREO, CHI2_MONO)
+    fits = rig.fits(features, rows, uvr)
     points, rows = points[fits], rows[fits]
     free = own[rows] < 0
     world.observe(k, rows[free], points[free])

@@ -63,7 +63,7 @@ def adjust_map(
                 column[at],
                 np.ascontiguousarray(seen[:, 2]),
                 measurements(kf.uv[at, row], kf.u_right[at, row]),
-                rig.inverse_variance[kf.octave[at, row]],
+                rig.weights(kf.octave[at, row], kf.depth[at, row]),
                 *rig.intrinsics,
             )
         result = full_bundle_adjustment(

@@ -125,5 +125,6 @@ def match_local_map(
         limit=settings.distance_high,
         ratio=settings.ratio_local_map,
         taken=frame.points >= 0,
+        slack=rig.right_slack(frame.features.depth),
     )
     return frame.match(found, candidates)

@@ -29,6 +29,8 @@ Solver = Callable[[], BundleResult]
 
 # ORB-SLAM2 (LocalMapping::SearchInNeighbors): neighbours of a neighbour that take part in fusion.
 _SECOND_NEIGHBOURS = 5
+# Fewer points do not tell the scale of a keyframe's depth.
+_LEAST_RATIOS = 20
 # A point may leave probation this many keyframes after its creation (LocalMapping::MapPointCulling).
 _PROBATION = 3
 
@@ -57,6 +59,7 @@ class LocalMapper:
         self.keyframes_added = 0
         self.keyframes_culled = 0
         self.points_culled = 0
+        self.depths_rejected = 0
         self._recent: deque[tuple[int, IntArray]] = deque()
         self._stopped = False
 
@@ -69,12 +72,27 @@ class LocalMapper:
         self.keyframes_added += 1
         if not self.rig.mono:
             rows = self._depth_rows(k)
-            new = world.add_points(k, rows, self.rig.lift(features, rows, inverse(cTw)))
+            new = world.add_points(k, rows, self.rig.lift(features, rows, inverse(cTw), self._depth_ratio(k)))
             self._recent.append((k, new))
         seen = world.points_of(k)
         world.refresh(seen[seen >= 0])
         self.near.clear()
         return k
+
+    def _depth_ratio(self, k: int) -> float:
+        """Median of measured depth over map depth of the points that keyframe ``k`` sees; 1 for a sensor.
+
+        A network's scale wanders: new points take the scale of the map around them, and the weak weight of all depths
+        together holds the scale of the map.
+        """
+        world = self.world
+        rows = np.flatnonzero((world.points_of(k) >= 0) & (world.features(k).depth > 0))
+        if self.rig.noise.is_zero or len(rows) < _LEAST_RATIOS:
+            return 1.0
+        cTw = world.keyframes.cTw[k]
+        z = world.points.xyz[world.points_of(k)[rows]] @ cTw[2, :3] + cTw[2, 3]
+        front = z > 1e-6
+        return float(np.median(world.features(k).depth[rows[front]] / z[front])) if front.any() else 1.0
 
     def lift_all(self, k: int) -> IntArray:
         """Give every keypoint of a first keyframe that has depth its point (Tracking::StereoInitialization)."""
@@ -195,6 +213,7 @@ class LocalMapper:
                 if not fixed[i]:
                     world.set_pose(keyframe, result.cTw[i])
             world.points.xyz[points] = result.xyz
+            self.drop_depths(seen[result.depth_rejected & result.inlier])
             self.drop_observations(seen[~result.inlier])
             world.refresh(points[~world.points.bad[points]], descriptors=False)
 
@@ -226,11 +245,17 @@ class LocalMapper:
             column[at],
             np.ascontiguousarray(seen[:, 2]),
             measurements(kf.uv[at, row], kf.u_right[at, row]),
-            self.rig.inverse_variance[kf.octave[at, row]],
+            self.rig.weights(kf.octave[at, row], kf.depth[at, row]),
             *self.rig.intrinsics,
+            depth_fallback=self.rig.noise.fallback,
             iterations=settings.local_ba_iterations,
         )
         return keyframes, fixed, points, seen, solve
+
+    def drop_depths(self, disagreeing: IntArray) -> None:
+        """Make observations ((M, 3) as from ``Map.observations``) monocular for good: their depth is wrong."""
+        self.world.keyframes.u_right[disagreeing[:, 0], disagreeing[:, 1]] = -1.0
+        self.depths_rejected += len(disagreeing)
 
     def drop_observations(self, outliers: IntArray) -> None:
         """Remove observations ((M, 3) as from ``Map.observations``), and points that keep at most two."""
@@ -280,6 +305,7 @@ class LocalMapper:
             "keyframes_culled": self.keyframes_culled,
             "points_created": self.world.points_created,
             "points_culled": self.points_culled,
+            "depths_rejected": self.depths_rejected,
         }
 
 

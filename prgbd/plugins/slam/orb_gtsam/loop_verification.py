@@ -206,8 +206,10 @@ class LoopVerifier:
         if free_scale:
             # The measured depth of k is in its own units.
             uvr[:, 2] = -1.0
-        weight = rig.inverse_variance[features.octave[rows]]
-        cTw, inlier = optimise_pose(cTw, world.points.xyz[points], uvr, weight, *rig.intrinsics)
+        weight = rig.weights(features.octave[rows], features.depth[rows])
+        cTw, inlier = optimise_pose(
+            cTw, world.points.xyz[points], uvr, weight, *rig.intrinsics, depth_fallback=rig.noise.fallback
+        )
         enough = inlier.sum() >= max(settings.loop_min_matches, _LEAST_AGREEING * len(rows))
         if not enough or not self._spread(features.uv[rows[inlier]]):
             return None

@@ -64,6 +64,7 @@ def _by_window(
     frame_octave: np.ndarray,
     frame_descriptors: np.ndarray,
     frame_u_right: np.ndarray,
+    slack: np.ndarray,
     frame_angles: np.ndarray,
     cell_start: np.ndarray,
     taken: np.ndarray,
@@ -95,7 +96,8 @@ def _by_window(
                     continue
                 if abs(frame_uv[k, 0] - u) > r or abs(frame_uv[k, 1] - v) > r:
                     continue
-                if uvr[i, 2] >= 0 and frame_u_right[k] >= 0 and abs(frame_u_right[k] - uvr[i, 2]) > r:
+                right = r + slack[k] if len(slack) > 0 else r
+                if uvr[i, 2] >= 0 and frame_u_right[k] >= 0 and abs(frame_u_right[k] - uvr[i, 2]) > right:
                     continue
                 d = hamming(descriptors[i], frame_descriptors[k])
                 if d < best:
@@ -130,6 +132,7 @@ def match_by_projection(
     taken: NDArray[np.bool_] | None = None,
     angles: NDArray[np.float32] | None = None,
     exclusive: bool = True,
+    slack: NDArray[np.float32] | None = None,
 ) -> IntArray:
     """Match projected points to the keypoints around them.
 
@@ -145,6 +148,7 @@ def match_by_projection(
         taken: (N,) bool keypoints that may not match.
         angles: (M,) float32 degrees to hold matches to a common rotation, or None.
         exclusive: Whether a keypoint goes to its nearest point only.
+        slack: (N,) float32 pixels by which the right column of a keypoint may lie outside the window, or None.
 
     Returns:
         (M,) int64 keypoint of every point, -1 for none.
@@ -162,6 +166,7 @@ def match_by_projection(
         frame.octave,
         frame.descriptor,
         frame.u_right,
+        _NO_ANGLES if slack is None else slack,
         frame.angle,
         frame.cell_start,
         taken,

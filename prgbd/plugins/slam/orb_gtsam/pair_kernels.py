@@ -18,10 +18,11 @@ _NO_STEREO = 2.0
 
 
 @numba.njit(cache=True, nogil=True)
-def _stereo_cosine(depth: float, u_right: float, baseline: float) -> float:
+def _stereo_cosine(depth: float, u_right: float, sigma: float, baseline: float) -> float:
     """Cosine of the parallax that the (virtual) stereo pair gives; 2 without depth."""
     if depth > 0 and u_right >= 0:
-        return math.cos(2.0 * math.atan2(0.5 * baseline, depth))
+        # Depth that errs by sigma pixels of disparity, where stereo errs by one, is worth a baseline that much shorter.
+        return math.cos(2.0 * math.atan2(0.5 * baseline / math.sqrt(1.0 + sigma * sigma), depth))
     return _NO_STEREO
 
 
@@ -39,17 +40,23 @@ def _to_world(cTw: np.ndarray, p: np.ndarray, out: np.ndarray) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _agrees(p: np.ndarray, u: float, v: float, u_right: float, scale: float, camera: np.ndarray) -> bool:
-    """Whether a point in camera coordinates lies in front and projects to a keypoint by the chi-square test."""
+def _agrees(
+    p: np.ndarray, u: float, v: float, u_right: float, sigma: float, fallback: bool, scale: float, camera: np.ndarray
+) -> bool:
+    """Whether a point in camera coordinates lies in front and projects to a keypoint by the chi-square test.
+
+    ``sigma`` is what the depth adds to the noise of ``u_right``; with ``fallback`` the pixel alone may pass.
+    """
     if not p[2] > 1e-6:
         return False
     column = camera[0] * p[0] / p[2] + camera[2]
     eu, ev = column - u, camera[1] * p[1] / p[2] + camera[3] - v
+    variance = scale * scale
     square, limit = eu * eu + ev * ev, CHI2_MONO
-    if u_right >= 0:
+    if u_right >= 0 and not (fallback and square <= limit * variance):
         er = column - camera[4] / p[2] - u_right
-        square, limit = square + er * er, CHI2_STEREO
-    return square <= limit * scale * scale
+        square, limit = square + er * er * (variance / (variance + sigma * sigma)), CHI2_STEREO
+    return square <= limit * variance
 
 
 @numba.njit(cache=True, nogil=True)
@@ -86,6 +93,9 @@ def place_pairs(
     depth2: np.ndarray,
     right1: np.ndarray,
     right2: np.ndarray,
+    sigma1: np.ndarray,
+    sigma2: np.ndarray,
+    fallback: bool,
     camera: np.ndarray,
     scales: np.ndarray,
     xyz: np.ndarray,
@@ -110,6 +120,9 @@ def place_pairs(
         depth2: (N2,).
         right1: (N1,) float32, column in the right image or -1.
         right2: (N2,).
+        sigma1: (N1,) pixels that the error of the depth adds to the noise of ``right1``.
+        sigma2: (N2,).
+        fallback: Whether keypoints may disagree with the point in their depth alone.
         camera: ``fx, fy, cx, cy, bf``.
         scales: (levels,) scale of every pyramid level.
         xyz: Receives (M, 3) points in the world.
@@ -127,8 +140,8 @@ def place_pairs(
         for axis in range(2):
             ray1[0, axis] = (uv1[i, axis] - camera[2 + axis]) / camera[axis]
             ray2[0, axis] = (uv2[j, axis] - camera[2 + axis]) / camera[axis]
-        stereo1 = _stereo_cosine(depth1[i], right1[i], baseline)
-        stereo2 = _stereo_cosine(depth2[j], right2[j], baseline)
+        stereo1 = _stereo_cosine(depth1[i], right1[i], sigma1[i], baseline)
+        stereo2 = _stereo_cosine(depth2[j], right2[j], sigma2[j], baseline)
         measured = min(stereo1, stereo2) < _NO_STEREO
         cosine = _parallax_cosine(c2Tc1, ray1[0], ray2[0])
         if 0 < cosine < min(stereo1, stereo2) and (measured or cosine < _MAX_PARALLAX_COSINE):
@@ -143,9 +156,9 @@ def place_pairs(
         _to_camera(c1Tw, xyz[m], p1)
         _to_camera(c2Tw, xyz[m], p2)
         scale1, scale2 = scales[octave1[i]], scales[octave2[j]]
-        if not _agrees(p1, uv1[i, 0], uv1[i, 1], right1[i], scale1, camera):
+        if not _agrees(p1, uv1[i, 0], uv1[i, 1], right1[i], sigma1[i], fallback, scale1, camera):
             continue
-        if not _agrees(p2, uv2[j, 0], uv2[j, 1], right2[j], scale2, camera):
+        if not _agrees(p2, uv2[j, 0], uv2[j, 1], right2[j], sigma2[j], fallback, scale2, camera):
             continue
         distance1 = math.sqrt(p1[0] * p1[0] + p1[1] * p1[1] + p1[2] * p1[2])
         distance2 = math.sqrt(p2[0] * p2[0] + p2[1] * p2[1] + p2[2] * p2[2])

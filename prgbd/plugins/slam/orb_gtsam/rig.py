@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.types import PinholeCamera
+from prgbd.plugins.slam.orb_gtsam.depth_noise import DepthNoise
 from prgbd.plugins.slam.orb_gtsam.features import Features
+from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+# Standard deviations of the measured depth that a search window is widened by.
+_SLACK = 2.0
 
 
 @dataclass
@@ -28,6 +34,7 @@ class Rig:
         columns: Grid cells per row.
         trusted_depth: Depths beyond make no stereo observation; infinite by default.
         stereo: Whether depth comes from a real right image.
+        noise: How far measured depths may be off.
     """
 
     camera: PinholeCamera
@@ -38,6 +45,7 @@ class Rig:
     columns: int
     trusted_depth: float = np.inf
     stereo: bool = False
+    noise: DepthNoise = field(default_factory=DepthNoise)
 
     @property
     def mode(self) -> str:
@@ -60,19 +68,68 @@ class Rig:
         """Inverse variance of a keypoint of every pyramid level, 1 / px^2."""
         return 1.0 / self.scales**2
 
+    def weights(
+        self, octave: NDArray[np.int32], depth: NDArray[np.float32], *, shared: float | None = None
+    ) -> FloatArray:
+        """Return the inverse variances of observations as the optimisers take them.
+
+        Args:
+            octave: (N,) pyramid levels.
+            depth: (N,) measured depths, 0 where there is none.
+            shared: Observations that err together, by default ``noise.shared``; 1 judges each by itself.
+
+        Returns:
+            (N,) if depth is as accurate as the keypoint, else (N, 2): of ``(u, v)`` and of ``u_right``, whose variance
+            is the keypoint's plus what the depth brings.
+        """
+        pixel = self.inverse_variance[octave]
+        shared = self.noise.shared if shared is None else shared
+        if self.noise.is_zero:
+            return pixel
+        right = 1.0 / pixel + shared * self.right_sigma(depth) ** 2
+        return np.stack([pixel, 1.0 / right], axis=1)
+
+    def right_sigma(self, depth: NDArray[np.floating]) -> FloatArray:
+        """Return the standard deviation (N,) of right columns, pixels, that the errors of depths (N,) bring."""
+        return self.noise.of_right(depth, self.camera.fx, self.baseline)
+
+    def right_slack(self, depth: NDArray[np.float32]) -> NDArray[np.float32] | None:
+        """Return by how many pixels (N,) the right columns of depths (N,) may be off beyond a search window."""
+        if self.noise.is_zero:
+            return None
+        return (_SLACK * self.right_sigma(depth)).astype(np.float32)
+
     def rays(self, uv: NDArray[np.float32]) -> FloatArray:
         """Return normalised image coordinates (N, 2) of pixels (N, 2)."""
         c = self.camera
         return (uv.astype(np.float64) - (c.cx, c.cy)) / (c.fx, c.fy)
 
-    def lift(self, features: Features, rows: IntArray, wTc: FloatArray) -> FloatArray:
-        """Return world points (N, 3) of keypoints with measured depth."""
-        in_camera = self.camera.backproject(features.uv[rows], features.depth[rows])
+    def lift(self, features: Features, rows: IntArray, wTc: FloatArray, ratio: float = 1.0) -> FloatArray:
+        """Return world points (N, 3) of keypoints with measured depth, which is ``ratio`` times that of the map."""
+        in_camera = self.camera.backproject(features.uv[rows], features.depth[rows] / ratio)
         return in_camera @ wTc[:3, :3].T + wTc[:3, 3]
 
     def measured(self, features: Features, rows: IntArray) -> FloatArray:
         """Return observations ``(u, v, u_right)``, (N, 3) float64, of keypoints."""
         return measurements(features.uv[rows], features.u_right[rows])
+
+    def fits(
+        self, features: Features, rows: IntArray, uvr: FloatArray, *, depth_counts: bool | None = None
+    ) -> NDArray[np.bool_]:
+        """Return whether projections (N, 3) agree with their keypoints by the chi-square test, (N,) bool.
+
+        Where the depth does not count, pixels that fit are enough; by default that is so with ``noise.fallback``.
+        """
+        error = self.measured(features, rows) - uvr
+        stereo = features.u_right[rows] >= 0
+        weight = self.weights(features.octave[rows], features.depth[rows], shared=1.0)
+        pixel, right = (weight, weight) if weight.ndim == 1 else weight.T
+        mono = (error[:, 0] ** 2 + error[:, 1] ** 2) * pixel
+        both = mono + np.where(stereo, error[:, 2] ** 2 * right, 0.0)
+        fit = both <= np.where(stereo, CHI2_STEREO, CHI2_MONO)
+        if depth_counts is None:
+            depth_counts = not self.noise.fallback
+        return np.asarray(fit if depth_counts else fit | (mono <= CHI2_MONO))
 
     def project(
         self,
@@ -129,7 +186,7 @@ class Projections:
     visible: NDArray[np.bool_]
 
 
-def measurements(uv: NDArray[np.float32], u_right: NDArray[np.float32]) -> FloatArray:
+def measurements(uv: NDArray[np.floating], u_right: NDArray[np.floating]) -> FloatArray:
     """Join pixels (N, 2) and right columns (N,) to observations (N, 3) float64."""
     uvr = np.empty((len(uv), 3))
     uvr[:, :2] = uv

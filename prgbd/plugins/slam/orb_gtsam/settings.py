@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 
 from prgbd.core.errors import ConfigError
+from prgbd.plugins.slam.orb_gtsam.depth_noise import DepthNoise
 
 # ORB-SLAM2 looks for 1000 features in 640x480 images and for 2000 in KITTI's wide ones.
 _VGA_AREA = 640 * 480
 _WIDE_ASPECT = 2.0
+
+# What "auto" means for the depth of a network: single depths are wrong by 10 to 20 %.
+PSEUDO_DEPTH = DepthNoise(relative=0.15, fallback=True)
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,15 @@ class Settings:
             0 trusts all depths, as ORB-SLAM2 does.
         realtime: Whether the mapper works in a thread beside the tracker; faster, but no two runs are quite alike.
         realtime_queue: Most keyframes that wait for that mapper; when one more comes, the tracker waits as well.
+        depth_sigma: Standard deviation of a measured depth as a share of it, or "auto": 0 for a sensor (its error is
+            that of a keypoint, as in ORB-SLAM2), 0.15 for pseudo depth.
+        depth_sigma_far: Growth of that share per baseline of depth.
+        depth_shared: Observations whose depths err together; the optimisers divide the depths' weight by it. "auto": 1
+            for a sensor; half of ``features`` for pseudo depth, so that a frame's depths count about as one.
+        depth_fallback: Whether observations whose depth disagrees go on as monocular ones instead of being outliers,
+            or "auto": for pseudo depth only.
+        depth_border: Keypoints whose surrounding depth differs by more than this share make no stereo observation; 0
+            allows any.
         recovery_keyframes: Keyframes of any map that are tried for a lost frame.
         restart_after: A new map may start after this many lost frames that showed something but no known place (each
             further frame is looked for in the old maps first); at once with <= ``restart_keyframes`` keyframes.
@@ -141,6 +154,11 @@ class Settings:
     depth_trust: float = 0.0
     realtime: bool = False
     realtime_queue: int = 1
+    depth_sigma: float | str = "auto"
+    depth_sigma_far: float = 0.0
+    depth_shared: float | str = "auto"
+    depth_fallback: bool | str = "auto"
+    depth_border: float = 0.0
     recovery_keyframes: int = 12
     restart_after: int = 10
     restart_keyframes: int = 5
@@ -161,6 +179,7 @@ class Settings:
     full_ba_keyframes: int = 300
 
     def __post_init__(self) -> None:
+        self._check_depth()
         for name in ("features", "init_keypoints"):
             value = getattr(self, name)
             if value != "auto" and (isinstance(value, str) or int(value) < 1):
@@ -181,6 +200,28 @@ class Settings:
             raise ConfigError(f"slam.realtime_queue must be at least 1, got {self.realtime_queue}.")
         if self.full_ba_backend not in ("gtsam", "numba"):
             raise ConfigError(f"slam.full_ba_backend must be 'gtsam' or 'numba', got {self.full_ba_backend!r}.")
+
+    def _check_depth(self) -> None:
+        for name, least in (("depth_sigma", 0), ("depth_shared", 1)):
+            value = getattr(self, name)
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value != "auto" and not (number and np.isfinite(value) and value >= least):
+                raise ConfigError(f"slam.{name} must be 'auto' or a number of at least {least}, got {value!r}.")
+        if self.depth_fallback not in ("auto", True, False):
+            raise ConfigError(f"slam.depth_fallback must be 'auto', true or false, got {self.depth_fallback!r}.")
+
+    def depth_noise(self, *, pseudo: bool, features: int) -> DepthNoise:
+        """Return the noise of a sensor's depth, or of ``pseudo`` depth, for so many features in a frame."""
+        automatic = PSEUDO_DEPTH if pseudo else DepthNoise()
+        # About half of a frame's keypoints are found in the map.
+        shared = max(1.0, 0.5 * features) if pseudo else 1.0
+        return DepthNoise(
+            relative=automatic.relative if self.depth_sigma == "auto" else float(self.depth_sigma),
+            far=self.depth_sigma_far,
+            shared=shared if self.depth_shared == "auto" else float(self.depth_shared),
+            fallback=automatic.fallback if self.depth_fallback == "auto" else bool(self.depth_fallback),
+            border=self.depth_border,
+        )
 
     @classmethod
     def from_options(cls, options: dict[str, Any]) -> Settings:

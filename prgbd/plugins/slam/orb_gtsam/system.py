@@ -13,7 +13,7 @@ from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult, TrackingSta
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
-from prgbd.plugins.slam.orb_gtsam.diagnostics import map_sizes, view_of
+from prgbd.plugins.slam.orb_gtsam.diagnostics import depth_figures, map_sizes, view_of
 from prgbd.plugins.slam.orb_gtsam.frame_features import FrameReader
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.frontend import FrontEnd
@@ -48,7 +48,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         ConfigError: If an option does not exist or has a value that cannot work.
     """
 
-    modes: ClassVar[frozenset[str]] = frozenset({"mono", "rgbd", "stereo"})
+    modes: ClassVar[frozenset[str]] = frozenset({"mono", "rgbd", "pseudo_rgbd", "stereo"})
 
     def __init__(self, **options: Any) -> None:
         self.settings = Settings.from_options(options)
@@ -84,6 +84,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             extractor.columns,
             near * settings.depth_trust if settings.depth_trust > 0 else np.inf,
             stereo=mode == "stereo",
+            noise=settings.depth_noise(pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
         )
         cells = extractor.columns * extractor.rows
         self._map = Map(extractor.capacity, cells, self._rig.scales)
@@ -197,7 +198,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         stats["maps"] = len(self._map.map_ids())
         stats["loaded_keyframes"] = loaded_keyframes(self._map)
         stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
-        stats["depth_ratio"] = [None if np.isnan(r) else round(r, 4) for r in self._frontend.depth_ratios]
+        stats |= depth_figures(self._frontend.depth_agreements)
         stats["baseline"] = self._rig.baseline
         result = history.result(self._map, self._rig, stats)
         self._ready = False

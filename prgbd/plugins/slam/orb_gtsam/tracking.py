@@ -148,6 +148,7 @@ class Tracker:
             limit=self.settings.distance_high,
             ratio=self.settings.ratio_motion,
             angles=last.features.angle[rows],
+            slack=rig.right_slack(frame.features.depth),
         )
         return frame.match(found, points)
 

@@ -52,6 +52,9 @@ def create_points(world: Map, rig: Rig, settings: Settings, k: int, other: int) 
         second.depth,
         first.u_right,
         second.u_right,
+        rig.right_sigma(first.depth),
+        rig.right_sigma(second.depth),
+        rig.noise.fallback,
         np.array(rig.intrinsics),
         rig.scales,
         xyz,
@@ -68,7 +71,7 @@ def create_points(world: Map, rig: Rig, settings: Settings, k: int, other: int) 
 def _far_enough(world: Map, rig: Rig, k: int, other: int) -> bool:
     kf = world.keyframes
     distance = float(np.linalg.norm(kf.centre[k] - kf.centre[other]))
-    if not rig.mono:
+    if not rig.mono and rig.noise.is_zero:
         return distance >= rig.baseline
     return distance >= _LEAST_BASELINE_OF_DEPTH * _depth(world, other, 50.0) > 0
 
