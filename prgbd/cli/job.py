@@ -24,6 +24,7 @@ from prgbd.loop.store import CONFIG, DONE, RunStore
 
 log = logging.getLogger("prgbd")
 META = "run"  # the key of config.yaml under which prgbd keeps its own notes
+MOST_LOOKS = 8  # recordings that are looked at before a run
 
 
 @dataclass
@@ -123,6 +124,7 @@ def _run(job: Job) -> None:
     with log_file(folder / "run.log", job.display.console):
         job.display.header(f"prgbd {task}", _facts(job))
         try:
+            _look_at_recordings(job, task)
             work(job)
         except KeyboardInterrupt:
             log.info("Stopped by the user.")
@@ -137,6 +139,18 @@ def _run(job: Job) -> None:
             raise
         job.store.finish(DONE)
         job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {job.shown(folder)}")
+
+
+def _look_at_recordings(job: Job, task: str) -> None:
+    """Say in two lines what a recording that SLAM or training will use looks like."""
+    from prgbd.core.preflight import preflight
+
+    if task not in ("self_improve", "slam", "pretrain"):
+        return
+    for sequence in job.parts.sequences[:MOST_LOOKS]:
+        facts, verdict = preflight(sequence).lines()
+        job.display.say(f"  {sequence.name}: {facts}")
+        job.display.say(f"  {' ' * len(sequence.name)}  {verdict}")
 
 
 def _note_overrides(folder: Path, overrides: list[str]) -> None:
