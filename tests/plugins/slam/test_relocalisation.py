@@ -115,3 +115,13 @@ def test_the_number_of_places_tried_is_bounded(journey) -> None:
         relocaliser._pose_against = lambda frame, k: tried.append(k) or attempt(frame, k)
         states_of(system, journey[26:29])
     assert 3 <= len(tried) <= 3 * 4
+
+
+def test_two_runs_with_losses_are_identical(journey) -> None:
+    results = []
+    for _ in range(2):
+        with begin(restart_after=2, restart_keyframes=0) as system:
+            states_of(system, journey)
+            results.append(system.finish())
+    np.testing.assert_array_equal(results[0].trajectory.wTc, results[1].trajectory.wTc)
+    np.testing.assert_array_equal(results[0].keyframes.map_id, results[1].keyframes.map_id)
