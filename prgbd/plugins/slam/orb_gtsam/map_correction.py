@@ -52,5 +52,14 @@ def apply(world: Map, anchor: int, correction: Correction) -> None:
     pts.xyz[points] = np.einsum("nij,nj->ni", wSc[reference, :3, :3], in_camera) + wSc[reference, :3, 3]
     for k in world.alive(map_id).tolist():
         world.set_pose(k, inverse(wSc[k]))
-    world.rescale(map_id, scale)
+    _rescale(world, map_id, scale)
     world.refresh(points)
+
+
+def _rescale(world: Map, map_id: int, scale: FloatArray) -> None:
+    """Note that the map changed its units around every keyframe, and give culled ones the units of their place."""
+    kf = world.keyframes
+    for k in np.flatnonzero(kf.map_id[: kf.count] == map_id).tolist():
+        s = float(scale[world.successor(k)])
+        kf.scale[k] *= s
+        kf.cTparent[k, :3, 3] *= s

@@ -196,19 +196,6 @@ class Map:
         if self.current_map == min(a, b):
             self.current_map = max(a, b)
 
-    def rescale(self, map_id: int, scale: FloatArray) -> None:
-        """Note that the map changed its units around every keyframe, and give culled ones the units of their place.
-
-        Args:
-            map_id: The map.
-            scale: (K,) new units per old one, of every keyframe; culled ones are ignored.
-        """
-        kf = self.keyframes
-        for k in np.flatnonzero(kf.map_id[: kf.count] == map_id).tolist():
-            s = float(scale[self.successor(k)])
-            kf.scale[k] *= s
-            kf.cTparent[k, :3, 3] *= s
-
     def covisible(self, k: int, least: int) -> tuple[IntArray, IntArray]:
         """Return the keyframes that share at least ``least`` points with ``k``, most first, and how many.
 
