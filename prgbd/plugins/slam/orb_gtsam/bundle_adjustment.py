@@ -196,6 +196,7 @@ def local_bundle_adjustment(
     iterations: tuple[int, int] = (5, 10),
     robust: bool = True,
     depth_fallback: bool = False,
+    tolerance: float = TOLERANCE,
 ) -> BundleResult:
     """Refine keyframes and points together, as ORB-SLAM2's ``LocalBundleAdjustment``.
 
@@ -219,6 +220,7 @@ def local_bundle_adjustment(
         robust: Whether to apply the kernel and the removal of outliers.
         depth_fallback: Whether observations that only their depth makes outliers go on as monocular ones in the second
             round (needs ``robust``).
+        tolerance: Relative decrease of the cost at which a round has converged.
 
     Returns:
         Refined poses and points, all finite.
@@ -228,8 +230,8 @@ def local_bundle_adjustment(
     """
     problem = BundleProblem.build(cTw, fixed, xyz, obs_kf, obs_pt, uvr, inv_sigma2, (fx, fy, cx, cy, bf))
     initial_cost = problem.cost(robust)
-    problem.minimise(problem.usable, robust, iterations[0])
+    problem.minimise(problem.usable, robust, iterations[0], tolerance)
     if robust and depth_fallback:
         problem.reject_depths()
-    problem.minimise(problem.inliers() if robust else problem.usable, False, iterations[1])
+    problem.minimise(problem.inliers() if robust else problem.usable, False, iterations[1], tolerance)
     return problem.result(initial_cost, robust)

@@ -206,6 +206,7 @@ class LocalMapper:
         world = self.world
         with self._step():
             keyframes, fixed, points, seen, solve = self._local_problem(k)
+            count, before = world.keyframes.count, world.keyframes.cTw[k].copy()
         # On copies: the tracker goes on meanwhile, and may add keyframes.
         result = solve()
         with self._step():
@@ -213,9 +214,25 @@ class LocalMapper:
                 if not fixed[i]:
                     world.set_pose(keyframe, result.cTw[i])
             world.points.xyz[points] = result.xyz
+            self._carry_along(k, before, count)
             self.drop_depths(seen[result.depth_rejected & result.inlier])
             self.drop_observations(seen[~result.inlier])
             world.refresh(points[~world.points.bad[points]], descriptors=False)
+
+    def _carry_along(self, k: int, before: FloatArray, count: int) -> None:
+        """Move keyframes that came while ``k`` was adjusted, from number ``count`` on, and their points with ``k``."""
+        world, kf, pts = self.world, self.world.keyframes, self.world.points
+        late = [n for n in range(count, kf.count) if kf.map_id[n] == kf.map_id[k]]
+        if not late:
+            return
+        oldTnew = inverse(before) @ kf.cTw[k]
+        newTold = inverse(oldTnew)
+        for n in late:
+            world.set_pose(n, kf.cTw[n] @ oldTnew)
+            own = world.points_of(n)
+            own = own[own >= 0]
+            own = own[pts.created[own] == n]
+            pts.xyz[own] = pts.xyz[own] @ newTold[:3, :3].T + newTold[:3, 3]
 
     def _local_problem(self, k: int) -> tuple[IntArray, NDArray[np.bool_], IntArray, IntArray, Solver]:
         """Collect keyframes, which of them are fixed, points, observations, and the solver with a copy of them all."""
@@ -249,6 +266,7 @@ class LocalMapper:
             *self.rig.intrinsics,
             depth_fallback=self.rig.noise.fallback,
             iterations=settings.local_ba_iterations,
+            tolerance=settings.local_ba_tolerance,
         )
         return keyframes, fixed, points, seen, solve
 

@@ -20,12 +20,13 @@ _SWITCH_INTERVAL = 2e-4
 class RealtimeBackend(MappingBackend):
     """Maps keyframes in a thread, in the order in which they come, and each of them.
 
-    Nothing is dropped: when ``queue_size`` keyframes wait, the tracker waits as well, which the statistics count.
+    Nothing is dropped: a keyframe that finds the queue full makes the tracker wait, which the statistics count.
 
     Args:
         mapper: The local mapper.
         watch: Gathers stage times.
-        queue_size: Most keyframes that wait while one is being mapped.
+        queue_size: Most keyframes that wait while one is being mapped. With 0 the tracker runs ahead by the frames up
+            to the next keyframe and no further; each more lets it track in an older map.
     """
 
     def __init__(self, mapper: LocalMapper, watch: Stopwatch, queue_size: int) -> None:
@@ -51,15 +52,18 @@ class RealtimeBackend(MappingBackend):
     def submit(self, k: int, *, local_mapping: bool = True) -> None:
         """See ``MappingBackend.submit``; waits while the queue is full."""
         with self._changed:
-            if len(self._jobs) >= self._size:
+            if not self._has_room():
                 self._waits += 1
                 start = time.perf_counter()
-                self._changed.wait_for(lambda: len(self._jobs) < self._size or self._error is not None)
+                self._changed.wait_for(lambda: self._has_room() or self._error is not None)
                 self._waited += time.perf_counter() - start
             self._raise()
             self._jobs.append((k, local_mapping))
             self._longest = max(self._longest, len(self._jobs))
             self._changed.notify_all()
+
+    def _has_room(self) -> bool:
+        return len(self._jobs) + self._busy <= self._size
 
     def check(self) -> None:
         """See ``MappingBackend.check``."""

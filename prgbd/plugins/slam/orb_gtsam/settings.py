@@ -67,6 +67,7 @@ class Settings:
         local_ba: Whether the mapper runs local bundle adjustment.
         local_ba_keyframes: Most keyframes whose poses move in local bundle adjustment.
         local_ba_fixed: Most keyframes that hold it fixed.
+        local_ba_tolerance: Relative decrease of the cost below which local bundle adjustment has converged.
         local_ba_iterations: Iterations before and after outliers are removed.
         min_found_ratio: A new point found in a smaller share of the frames that should see it is culled.
         redundancy: A keyframe is culled when more than this share of its points is seen by three others.
@@ -74,7 +75,7 @@ class Settings:
         depth_trust: Depths beyond this many baselines make no stereo observation (the keypoint stays monocular);
             0 trusts all depths, as ORB-SLAM2 does.
         realtime: Whether the mapper works in a thread beside the tracker; faster, but no two runs are quite alike.
-        realtime_queue: Most keyframes that wait for that mapper; when one more comes, the tracker waits as well.
+        realtime_queue: Most keyframes that wait while that mapper is busy; one more makes the tracker wait as well.
         depth_sigma: Standard deviation of a measured depth as a share of it, or "auto": 0 for a sensor (its error is
             that of a keypoint, as in ORB-SLAM2), 0.15 for pseudo depth.
         depth_sigma_far: Growth of that share per baseline of depth.
@@ -146,13 +147,14 @@ class Settings:
     local_ba: bool = True
     local_ba_keyframes: int = 20
     local_ba_fixed: int = 30
+    local_ba_tolerance: float = 1e-3
     local_ba_iterations: tuple[int, int] = (5, 10)
     min_found_ratio: float = 0.25
     redundancy: float = 0.9
     stereo_gate: bool = True
     depth_trust: float = 0.0
     realtime: bool = False
-    realtime_queue: int = 1
+    realtime_queue: int = 0
     depth_sigma: float | str = "auto"
     depth_sigma_far: float = 0.0
     depth_shared: float | str = "auto"
@@ -195,8 +197,6 @@ class Settings:
             )
         if self.loop_scale not in ("auto", "free", "fixed"):
             raise ConfigError(f"slam.loop_scale must be 'auto', 'free' or 'fixed', got {self.loop_scale!r}.")
-        if self.realtime_queue < 1:
-            raise ConfigError(f"slam.realtime_queue must be at least 1, got {self.realtime_queue}.")
         if self.full_ba_backend not in ("gtsam", "numba"):
             raise ConfigError(f"slam.full_ba_backend must be 'gtsam' or 'numba', got {self.full_ba_backend!r}.")
 
