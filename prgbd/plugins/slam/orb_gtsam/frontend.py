@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.slam import TrackingResult, TrackingState
 from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
+from prgbd.plugins.slam.orb_gtsam.dead_reckoning import DeadReckoning
 from prgbd.plugins.slam.orb_gtsam.diagnostics import DepthAgreement, depth_agreement
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.history import History
@@ -66,6 +67,7 @@ class FrontEnd:
         # Lost frames in a row, those of them that showed something, and whether a new map is being tried.
         self._lost, self._unknown, self._restarting = 0, 0, False
         self._last_keyframe = -1
+        self._reckoning = DeadReckoning()
         self._handovers: list[Handover] = []
 
     def enter(self) -> None:
@@ -104,6 +106,7 @@ class FrontEnd:
         self._place(frame.index, frame.timestamp, started.reference, frame.cTw)
         self._started, self._last_keyframe = True, frame.ordinal
         self._found()
+        self._reckoning.clear()
         self._handovers = [Handover(k, local_mapping=False) for k in started.keyframes]
         inliers = len(frame.matched())
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, True)
@@ -123,7 +126,9 @@ class FrontEnd:
             log.info("Tracking recovered at frame %d after %d lost frames.", frame.index, self._lost)
             # The way from the last tracked frame is no motion between two frames.
             tracker.last = None
+            self._reckoning.clear()
         self._found()
+        self._reckoning.add(frame.ordinal, frame.cTw)
         self.depth_agreements[-1] = depth_agreement(self.world, self.rig, frame)
         keyframe = self._wants_keyframe(frame, inliers)
         if keyframe:
@@ -164,10 +169,16 @@ class FrontEnd:
         self._unknown += 1
         entered = self.tracker.last is not None  # a frame was tracked, since the start or since a map was loaded
         small = entered and len(self.world.alive()) <= self.settings.restart_keyframes
-        if not self._restarting and (small or self._unknown >= self.settings.restart_after):
+        begins = not self._restarting and (small or self._unknown >= self.settings.restart_after)
+        if begins or (self._restarting and not self.rig.mono):
             self._restarting = True
-            self.starter.begin_at(self.tracker.last_pose() if entered else np.eye(4))
+            self.starter.begin_at(self._expected(frame) if entered else np.eye(4))
         return self._start(frame, TrackingState.LOST) if self._restarting else TrackingResult(TrackingState.LOST)
+
+    def _expected(self, frame: TrackedFrame) -> NDArray[np.float64]:
+        """Where the camera would be had it gone on as before it was lost; the length of a gap is unknown in mono."""
+        gap = 0 if self.rig.mono or self._lost > self.settings.restart_extrapolate else self._lost
+        return self._reckoning.after(gap) @ self.tracker.last_pose()
 
     def _place(self, index: int, timestamp: float, reference: int, cTw: NDArray[np.float64]) -> None:
         cTref = cTw @ inverse(self.world.keyframes.cTw[reference])

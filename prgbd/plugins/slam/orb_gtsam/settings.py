@@ -89,6 +89,8 @@ class Settings:
         restart_after: A new map may start after this many lost frames that showed something but no known place (each
             further frame is looked for in the old maps first); at once with <= ``restart_keyframes`` keyframes.
         restart_keyframes: See ``restart_after``.
+        restart_extrapolate: After at most this many lost frames a new map with measured depth begins where the camera
+            would be had it gone on as before; else where it was last seen.
         loop_closing: Whether loops are closed and maps of one place joined.
         loop_scale: Whether a loop corrects scale: "free", "fixed", or "auto": free in mono; where depth is measured
             fixed, and free (0.5 to 2) where the depth proves to have drifted in scale, as a network's can.
@@ -163,6 +165,7 @@ class Settings:
     recovery_keyframes: int = 12
     restart_after: int = 10
     restart_keyframes: int = 5
+    restart_extrapolate: int = 60
     loop_closing: bool = True
     loop_scale: str = "auto"
     loop_min_interval: int = 10
