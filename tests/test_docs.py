@@ -6,8 +6,10 @@ A block right below ``<!-- not run: REASON -->`` is left alone.
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import shlex
+import subprocess
 import sys
 import textwrap
 import tomllib
@@ -26,7 +28,7 @@ from tests.cli.test_config import composed
 from tests.conftest import ROOT
 from tests.loop import fakes
 
-FILES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FILES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 _FENCE = re.compile(
     r"(?:<!-- not run: (?P<reason>[^>]+) -->\s*\n)?^(?P<indent> *)```(?P<language>\w*)\n(?P<text>.*?)^ *```$",
     re.M | re.S,
@@ -80,7 +82,25 @@ def place(tmp_path_factory) -> Path:
         video.write(cv2.cvtColor(world.frame(index).image, cv2.COLOR_RGB2BGR))
     video.release()
     (folder / "some/small/folder").mkdir(parents=True)
+    _photograph_board(folder / "board")
     return folder
+
+
+def _photograph_board(folder: Path, views: int = 12) -> None:
+    """Photos of a checkerboard of 9 x 6 inner corners by a camera of 480x360 pixels with fx = fy = 420."""
+    import cv2
+
+    squares = np.kron(np.indices((9, 12)).sum(0) % 2, np.ones((40, 40))).astype(np.uint8) * 255
+    squares[:40] = squares[-40:] = squares[:, :40] = squares[:, -40:] = 255
+    K = np.array([[420.0, 0, 239.5], [0, 420, 179.5], [0, 0, 1]])
+    squares_of_pixels = np.array([[1 / 40, 0, -6], [0, 1 / 40, -4.5], [0, 0, 1]])
+    folder.mkdir()
+    for i in range(views):
+        R, _ = cv2.Rodrigues(np.array([0.5 * np.sin(i), 0.5 * np.cos(1.7 * i), 0.1 * i]))
+        t = np.array([0.6 * np.cos(i), 0.5 * np.sin(2 * i), 13.0 + i % 3])
+        H = K @ np.column_stack([R[:, 0], R[:, 1], t]) @ squares_of_pixels
+        photo = cv2.warpPerspective(squares, H, (480, 360), flags=cv2.INTER_AREA, borderValue=255)
+        cv2.imwrite(str(folder / f"{i:02}.png"), cv2.GaussianBlur(photo, (0, 0), 0.7))
 
 
 @pytest.fixture
@@ -116,6 +136,32 @@ def test_the_result_of_the_example_is_a_trajectory(place, monkeypatch, plugins, 
     result = prgbd.SlamResult.load(place / "out")
     assert result.tracked_frames > 30
     assert np.isfinite(result.to_evo().positions_xyz).all()
+
+
+def test_the_calibration_of_the_example_is_right(place, monkeypatch, plugins, capsys):
+    """docs/own-video.md writes a camera file that fits the camera that took the photos, and that prgbd reads."""
+    test_python_runs(ROOT / "docs" / "own-video.md", place, plugins, monkeypatch, capsys)
+    video = prgbd.make_data("images", root=place / "board", camera=place / "camera.yaml")
+    assert abs(video.camera.fx / 420 - 1) < 0.02
+    assert abs(video.camera.cx - 239.5) < 3
+
+
+def test_the_site_builds_without_warnings(tmp_path):
+    for module in ("mkdocs", "material", "mkdocstrings", "griffe"):
+        pytest.importorskip(module, reason="the site needs the extra 'docs'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment)
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert "WARNING" not in built.stdout + built.stderr
+    for page in ("index", "troubleshooting", "api-core"):
+        assert (tmp_path / "site" / f"{page}.html").is_file()
+    for page in (tmp_path / "site").glob("*.html"):
+        loaded = re.findall(
+            r'<(?:script|link|img)[^>]*(?:src|href)="?https?://[^"> ]+', page.read_text(encoding="utf-8")
+        )
+        assert not loaded, f"{page.name} loads from another server: {loaded}"
+    assert "PinholeCamera" in (tmp_path / "site" / "api-core.html").read_text(encoding="utf-8")
 
 
 def commands() -> list[tuple[str, str]]:
@@ -160,20 +206,23 @@ def _check_run(words: list[str]) -> None:
     config = composed(*[word for word in words if not word.startswith("out=")])
     config["out"] = "run"
     check_settings(config)
-    _check_plugin_options(words)
+    _check_plugin_options(words, config)
 
 
 def _with_installed_plugins(words: list[str]) -> list[str]:
     """Plug-ins that the reader is to write, or to install, are installed by ``test_third_party*``; not here."""
     foreign = {
-        kind for kind in ("slam", "depth") for word in words if re.match(rf"\+*{kind}=(mynet|example/\w+)$", word)
+        kind
+        for kind in ("slam", "depth")
+        for word in words
+        if re.match(rf"\+*{kind}=(mynet|lab/\w+|example/\w+)$", word)
     }
     kept = [word for word in words if "experiment=example_" not in word]
     kept = [word for word in kept if not any(re.match(rf"\+*{kind}[.=]", word) for kind in foreign)]
     return kept + [{"slam": "slam=orb_gtsam", "depth": "depth=monodepth2"}[kind] for kind in sorted(foreign)]
 
 
-def _check_plugin_options(words: list[str]) -> None:
+def _check_plugin_options(words: list[str], config: dict) -> None:
     """Options of plug-ins pass the command line unseen, so they are looked up where the plug-in has them."""
     from prgbd.cli.parts import LOOP_KEYS
     from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -182,7 +231,7 @@ def _check_plugin_options(words: list[str]) -> None:
         found = re.match(r"\+*(slam|depth|data)\.(\w+)=", word)
         if found is None or found[2] in (*LOOP_KEYS[found[1]], "id"):
             continue
-        plugin = value_of([w.lstrip("+") for w in words], found[1]) or "synthetic"
+        plugin = value_of([w.lstrip("+") for w in words], found[1]) or config[found[1]]["id"]
         if REGISTRY.resolve(found[1], plugin).missing:
             continue  # its extra is not installed here
         known = set(vars(Settings())) if plugin == "orb_gtsam" else set(REGISTRY.options(found[1], plugin))
