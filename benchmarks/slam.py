@@ -9,7 +9,7 @@ Examples:
         --compare orb_slam2=../shared/reference/trajectories/orb_slam2/kitti00_mono.tum --compare-fps 10
     python benchmarks/slam.py synthetic mode=rgbd data.frames=3000 data.sensor_depth=true --per 500
 
-Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metres), depth_percentile (which percentile
+Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metres, or running), depth_percentile (which percentile
 of the predicted depth counts as the largest; 100 is the paper's), slam.*, data.* and depth.* for the plug-ins.
 
 What is counted: the wall time of every call of track, and of finish apart from it. Reading frames and predicting their
@@ -285,6 +285,9 @@ def main(arguments: list[str]) -> int:
     try:
         chosen, settings = parse(arguments)
         sequence: Sequence = prgbd.make_data(chosen.data, **settings["data"])
+        running = settings.get("mode") == "pseudo_rgbd" and settings.get("baseline") == "running"
+        if running:
+            del settings["baseline"]
         source = make_source(
             sequence,
             settings.get("mode", "mono"),
@@ -294,6 +297,8 @@ def main(arguments: list[str]) -> int:
             number(settings, "depth_percentile", 100.0) or 100.0,
             chosen.read_ahead << 20,
         )
+        if running:
+            source.baseline = None
         others = read_others(chosen, sequence)
         warm_up(source, settings["slam"])
         runs = [measure(source, settings["slam"], seed, f"seed {seed}") for seed in range(chosen.seeds)]

@@ -172,10 +172,10 @@ def _is_stereo(sequence: Sequence) -> bool:
 
 def _baseline(config: Mapping[str, Any]) -> float | None:
     value = config["slam"].get("baseline", "auto")
-    if value in (None, "auto", "adaptive"):
+    if value in (None, "auto", "adaptive", "running"):
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        raise ConfigError(f"slam.baseline={value} cannot be used; give a positive number of metres, or auto.")
+        raise ConfigError(f"slam.baseline={value} cannot be used; give a positive number of metres, auto, or running.")
     return float(value)
 
 

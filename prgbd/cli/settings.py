@@ -211,6 +211,7 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
             {"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement", optional=True
         ),
         baseline=baseline,
+        running_baseline=(config.get("slam") or {}).get("baseline") == "running",
         baseline_percentile=float(number(config, "sensing.baseline_percentile")),
         batch_size=batch_size(config),
         cache=None if cache is None else Path(cache),

@@ -78,7 +78,8 @@ class CheckedSLAM(GeometricSLAM):
         """See ``GeometricSLAM.reset``."""
         if mode not in self.modes:
             raise ConfigError(f"{self._who} has no mode '{mode}'; it supports {', '.join(sorted(self.modes))}.")
-        if mode != "mono" and (baseline is None or not np.isfinite(baseline) or baseline <= 0):
+        open_ended = mode == "mono" or (mode == "pseudo_rgbd" and baseline is None)
+        if not open_ended and (baseline is None or not np.isfinite(baseline) or baseline <= 0):
             raise ConfigError(f"Mode '{mode}' needs a positive baseline in metres, got {baseline}; set slam.baseline.")
         if not np.isfinite(fps) or fps <= 0:
             raise ConfigError(f"The frame rate must be positive, got {fps}; check the time stamps or set data.fps.")

@@ -88,7 +88,8 @@ class GeometricSLAM(ABC):
         Args:
             camera: Camera of the frames; without distortion, unless the system says that it undistorts by itself.
             mode: One of ``modes``.
-            baseline: Metres between the (virtual) stereo pair; None for ``mono``, else needed.
+            baseline: Metres between the (virtual) stereo pair; None for ``mono``, and for ``pseudo_rgbd`` where the
+                system is to adapt it as frames come; else needed.
             fps: Frame rate, for the keyframe decision.
             seed: Seed of everything random.
 

@@ -35,6 +35,7 @@ class LoopSettings:
         min_improvement: The held-out loss must drop by more than this fraction, or the loop stops; None never stops
             it early, for ablations.
         baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
+        running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
         baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
         batch_size: Frames per forward pass of the sensor; None chooses by device.
         cache: Folder for predicted depth that several runs share; None keeps it in the run until it is used.
@@ -53,6 +54,7 @@ class LoopSettings:
     max_loops: int = 3
     min_improvement: float | None = 0.0
     baseline: float | None = None
+    running_baseline: bool = False
     baseline_percentile: float = 100.0
     batch_size: int | None = None
     cache: Path | None = None
@@ -221,6 +223,8 @@ class SelfImprovingLoop:
         sequence = sensor.sequence
         statistics = sensor.prepare()
         baseline = self.settings.baseline or statistics.adaptive_baseline
+        if self.settings.running_baseline:
+            baseline = None
         given = SlamInput(sensor, "pseudo_rgbd", baseline, statistics)
         recording = self.store.path("viz", f"{loop:02d}-{sequence.name}")
         viewer = None if self.make_viewer is None else self.make_viewer(sequence, recording)

@@ -147,7 +147,7 @@ def run_slam(
     noted: dict[str, Any] = {
         "seconds": seconds,
         "fps": len(sequence) / max(seconds, 1e-9),
-        "baseline": given.baseline,
+        "baseline": given.baseline or result.stats.get("baseline"),
         "seed": seed,
     }
     if given.statistics is not None:

@@ -19,6 +19,7 @@ from prgbd.plugins.slam.orb_gtsam.columns import Columns
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.virtual_baseline import follow_baseline
 
 KIND = "prgbd orb_gtsam map"
 FORMAT = 1
@@ -105,11 +106,7 @@ def load_map(world: Map, rig: Rig, path: Path | str) -> None:
     rig.camera = replace(rig.camera, fx=refined["fx"], fy=refined["fy"])
     kf = world.keyframes
     if header["mode"] != "mono" and header["baseline"] != rig.baseline:
-        # The right column is virtual: it follows the baseline of the present recording.
-        measured = kf.u_right[: kf.count] >= 0
-        measured &= kf.depth[: kf.count] > 0
-        right = kf.uv[: kf.count, :, 0] - np.float32(rig.bf) / np.where(measured, kf.depth[: kf.count], 1)
-        kf.u_right[: kf.count][measured] = right[measured]
+        follow_baseline(world, rig)
     kf.frame_index[: kf.count] = np.where(
         kf.frame_index[: kf.count] >= 0, -1 - kf.frame_index[: kf.count], kf.frame_index[: kf.count]
     )

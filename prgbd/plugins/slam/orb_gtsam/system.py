@@ -33,13 +33,15 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
 from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
+from prgbd.plugins.slam.orb_gtsam.virtual_baseline import RunningBaseline, follow_baseline, set_baseline
 
 
 class OrbGtsamSLAM(GeometricSLAM):
     """ORB-SLAM2's ideas in Python: numba for what runs per feature, GTSAM for the whole map.
 
     Images of a distorted camera are taken as they are: keypoints are undistorted, and the result's camera has no
-    distortion. The mapper runs in step with the tracker and everything is seeded, so equal input gives equal output.
+    distortion. Mode ``pseudo_rgbd`` without a baseline adapts the virtual one to the largest depth of the frames so far.
+    The mapper runs in step with the tracker and everything is seeded, so equal input gives equal output.
 
     Args:
         **options: Any field of ``Settings``.
@@ -64,7 +66,8 @@ class OrbGtsamSLAM(GeometricSLAM):
         """
         if mode not in self.modes:
             raise ConfigError(f"orb_gtsam has no mode '{mode}'; set slam.mode to {' or '.join(sorted(self.modes))}.")
-        if mode != "mono" and (baseline is None or not np.isfinite(baseline) or baseline <= 0):
+        running = mode == "pseudo_rgbd" and baseline is None
+        if mode != "mono" and not running and (baseline is None or not np.isfinite(baseline) or baseline <= 0):
             raise ConfigError(f"Mode '{mode}' needs a positive baseline in metres, got {baseline}; set slam.baseline.")
         if not np.isfinite(fps) or fps <= 0:
             raise ConfigError(f"The frame rate must be positive, got {fps}; set data.fps.")
@@ -74,18 +77,19 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._given = camera
         self._reader = FrameReader(settings, camera, mode)
         extractor = self._reader.left
-        near = 0.0 if mode == "mono" else float(baseline or 0.0)
+        self._running = RunningBaseline() if running else None
         self._rig = Rig(
             camera.undistorted(),
             mode == "mono",
-            near,
-            near * settings.close_depth,
+            0.0,
+            0.0,
             settings.scales(),
             extractor.columns,
-            near * settings.depth_trust if settings.depth_trust > 0 else np.inf,
             stereo=mode == "stereo",
             noise=settings.depth_noise(pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
         )
+        if mode != "mono":
+            set_baseline(self._rig, settings, float(baseline or 0.0))
         cells = extractor.columns * extractor.rows
         self._map = Map(extractor.capacity, cells, self._rig.scales)
         self._near = Neighbourhoods(self._map, settings.covisible_weight)
@@ -116,6 +120,8 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._reader.check(frame)
         if self.settings.localise_only and not self._map.keyframes.count:
             raise ConfigError("slam.localise_only=true needs a map to localise in; give slam.load_map=FILE.")
+        if self._running is not None and frame.depth is not None and self._running.see(frame.depth):
+            self._rebase(self._running.baseline)
         with self._watch("features"):
             features = self._reader.read(frame, self._rig)
         self._backend.check()
@@ -127,6 +133,13 @@ class OrbGtsamSLAM(GeometricSLAM):
             for handover in handovers:
                 self._backend.submit(handover.keyframe, local_mapping=handover.local_mapping)
         return replace(result, info=sizes)
+
+    def _rebase(self, baseline: float) -> None:
+        """Take another virtual baseline; what was measured before follows."""
+        self._backend.drain()
+        with self._map.lock:
+            set_baseline(self._rig, self.settings, baseline)
+            follow_baseline(self._map, self._rig)
 
     def view(self) -> SlamView | None:
         """See ``GeometricSLAM.view``."""
