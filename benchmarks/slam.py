@@ -9,8 +9,8 @@ Examples:
         --compare orb_slam2=../shared/reference/trajectories/orb_slam2/kitti00_mono.tum --compare-fps 10
     python benchmarks/slam.py synthetic mode=rgbd data.frames=3000 data.sensor_depth=true --per 500
 
-Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metres, or running), depth_percentile (which percentile
-of the predicted depth counts as the largest; 100 is the paper's), slam.*, data.* and depth.* for the plug-ins.
+Settings are name=value: mode (mono, rgbd, stereo, pseudo_rgbd), baseline (metres, or running), depth_percentile (which
+percentile of the predicted depth counts as the largest; 100 is the paper's), slam.*, data.* and depth.* for plug-ins.
 
 What is counted: the wall time of every call of track, and of finish apart from it. Reading frames and predicting their
 depth is not: the clock stands while --read-ahead MiB of frames are read, and a short run before the first seed loads or

@@ -222,9 +222,8 @@ class SelfImprovingLoop:
     def _localise(self, loop: int, sensor: DepthSensor) -> dict[str, Any]:
         sequence = sensor.sequence
         statistics = sensor.prepare()
-        baseline = self.settings.baseline or statistics.adaptive_baseline
-        if self.settings.running_baseline:
-            baseline = None
+        known = self.settings.baseline or statistics.adaptive_baseline
+        baseline = None if self.settings.running_baseline else known
         given = SlamInput(sensor, "pseudo_rgbd", baseline, statistics)
         recording = self.store.path("viz", f"{loop:02d}-{sequence.name}")
         viewer = None if self.make_viewer is None else self.make_viewer(sequence, recording)

@@ -205,8 +205,8 @@ class LocalMapper:
         """Bundle adjustment of ``k``, its covisible keyframes and all their points."""
         world = self.world
         with self._step():
-            keyframes, fixed, points, seen, solve = self._local_problem(k)
-            count, before = world.keyframes.count, world.keyframes.cTw[k].copy()
+            keyframes, fixed, points, seen, lone, solve = self._local_problem(k)
+            count, before = world.keyframes.count, world.keyframes.cTw.copy()
         # On copies: the tracker goes on meanwhile, and may add keyframes.
         result = solve()
         with self._step():
@@ -214,10 +214,12 @@ class LocalMapper:
                 if not fixed[i]:
                     world.set_pose(keyframe, result.cTw[i])
             world.points.xyz[points] = result.xyz
-            self._carry_along(k, before, count)
+            self._carry_along(k, before[k], count)
+            self._carry_lone_points(lone, before)
             self.drop_depths(seen[result.depth_rejected & result.inlier])
             self.drop_observations(seen[~result.inlier])
-            world.refresh(points[~world.points.bad[points]], descriptors=False)
+            moved = np.concatenate([points, lone[:, 1]])
+            world.refresh(moved[~world.points.bad[moved]], descriptors=False)
 
     def _carry_along(self, k: int, before: FloatArray, count: int) -> None:
         """Move keyframes that came while ``k`` was adjusted, from number ``count`` on, and their points with ``k``."""
@@ -234,13 +236,31 @@ class LocalMapper:
             own = own[pts.created[own] == n]
             pts.xyz[own] = pts.xyz[own] @ newTold[:3, :3].T + newTold[:3, 3]
 
-    def _local_problem(self, k: int) -> tuple[IntArray, NDArray[np.bool_], IntArray, IntArray, Solver]:
-        """Collect keyframes, which of them are fixed, points, observations, and the solver with a copy of them all."""
+    def _carry_lone_points(self, lone: IntArray, before: FloatArray) -> None:
+        """Move points that one keyframe alone sees, rows ``(keyframe, point)``, with it from its pose ``before``."""
+        if len(lone) == 0:
+            return
+        xyz, (at, points) = self.world.points.xyz, lone.T
+        oldTnew = inverse(before[at]) @ self.world.keyframes.cTw[at]
+        newTold = inverse(oldTnew)
+        xyz[points] = np.einsum("nij,nj->ni", newTold[:, :3, :3], xyz[points]) + newTold[:, :3, 3]
+
+    def _local_problem(self, k: int) -> tuple[IntArray, NDArray[np.bool_], IntArray, IntArray, IntArray, Solver]:
+        """Collect keyframes, which of them are fixed, points, observations, lone points, and the solver with copies.
+
+        A point that one keyframe alone sees (with depth) says nothing about poses, so it stays out of the problem.
+        """
         world, settings, kf = self.world, self.settings, self.world.keyframes
         first = int(self._mapped(k)[0])
         local = np.append(k, self.near.of(k)[: settings.local_ba_keyframes - 1])
         points = world.seen_by(local)
         seen = world.observations(points)
+        alone = np.bincount(seen[:, 2], minlength=len(points)) == 1
+        single = alone[seen[:, 2]]
+        lone = np.stack([seen[single, 0], points[seen[single, 2]]], axis=1)
+        seen = seen[~single]
+        points, renumbered = points[~alone], np.cumsum(~alone) - 1
+        seen[:, 2] = renumbered[seen[:, 2]]
         counts = np.bincount(seen[:, 0], minlength=kf.count)
         counts[local] = 0
         others = np.flatnonzero(counts)
@@ -268,7 +288,7 @@ class LocalMapper:
             iterations=settings.local_ba_iterations,
             tolerance=settings.local_ba_tolerance,
         )
-        return keyframes, fixed, points, seen, solve
+        return keyframes, fixed, points, seen, lone, solve
 
     def drop_depths(self, disagreeing: IntArray) -> None:
         """Make observations ((M, 3) as from ``Map.observations``) monocular for good: their depth is wrong."""

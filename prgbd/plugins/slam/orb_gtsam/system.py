@@ -40,8 +40,9 @@ class OrbGtsamSLAM(GeometricSLAM):
     """ORB-SLAM2's ideas in Python: numba for what runs per feature, GTSAM for the whole map.
 
     Images of a distorted camera are taken as they are: keypoints are undistorted, and the result's camera has no
-    distortion. Mode ``pseudo_rgbd`` without a baseline adapts the virtual one to the largest depth of the frames so far.
-    The mapper runs in step with the tracker and everything is seeded, so equal input gives equal output.
+    distortion. Mode ``pseudo_rgbd`` without a baseline adapts it to the largest depth of the frames so far. The mapper
+    runs in step with the tracker and everything is seeded, so equal input gives equal output; ``realtime`` runs it in a
+    thread.
 
     Args:
         **options: Any field of ``Settings``.
