@@ -68,6 +68,8 @@ class FrontEnd:
         self._lost, self._unknown, self._restarting = 0, 0, False
         self._last_keyframe = -1
         self._reckoning = DeadReckoning()
+        # The newest keyframe and which of its keypoints were outliers of the frame that it was made of.
+        self._outliers: tuple[int, NDArray[np.bool_]] = (-1, np.zeros(0, np.bool_))
         self._handovers: list[Handover] = []
 
     def enter(self) -> None:
@@ -135,6 +137,7 @@ class FrontEnd:
             # Outliers go along: bundle adjustment, not one frame, decides about them.
             k = self.backend.mapper.add_keyframe(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
             tracker.reference, self._last_keyframe = k, frame.ordinal
+            self._outliers = (k, frame.outlier.copy())
             frame.points = self.world.points_of(k).copy()
             self._handovers = [Handover(k)]
         tracker.remember(frame)
@@ -143,7 +146,11 @@ class FrontEnd:
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, keyframe)
 
     def _wants_keyframe(self, frame: TrackedFrame, inliers: int) -> bool:
-        return not self.settings.localise_only and needs_keyframe(
+        if self.settings.localise_only:
+            return False
+        newest, outliers = self._outliers
+        unmapped = newest == self.tracker.reference and not self.backend.idle
+        return needs_keyframe(
             self.world,
             self.rig,
             self.settings,
@@ -152,6 +159,7 @@ class FrontEnd:
             self.tracker.reference,
             frame.ordinal - self._last_keyframe,
             self._fps,
+            outliers if unmapped else None,
         )
 
     def _found(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
@@ -22,6 +23,7 @@ def needs_keyframe(
     reference: int,
     since_last: int,
     fps: float,
+    doubtful: NDArray[np.bool_] | None = None,
 ) -> bool:
     """Decide as ORB-SLAM2 does (Tracking::NeedNewKeyFrame) with a mapper that is always idle.
 
@@ -34,11 +36,14 @@ def needs_keyframe(
         reference: The keyframe that shares most points with it.
         since_last: Frames since the last keyframe.
         fps: Frame rate.
+        doubtful: (N,) bool keypoints of the reference keyframe whose points are not to be expected: a keyframe gets
+            its frame's outliers along, and bundle adjustment may not have seen it yet.
     """
     keyframes = len(world.alive())
     least = 3 if keyframes > 2 else 2
     counts = world.observation_counts(world.points_of(reference), double=not rig.mono)
-    expected = int(np.count_nonzero(counts >= least))
+    known = counts >= least
+    expected = int(np.count_nonzero(known if doubtful is None else known & ~doubtful))
     needs_close = not rig.mono and _needs_close_points(rig, settings, frame)
     ratio = settings.keyframe_ratio_first if keyframes < 2 else settings.keyframe_ratio
     if rig.mono:
