@@ -103,7 +103,7 @@ def _point_lines(
     """``id x y z r g b error`` and the track, (image, keypoint) of every observation."""
     order = np.argsort(point, kind="stable")
     ids, first = np.unique(point[order], return_index=True)
-    tracks = np.split(order, first[1:])
+    tracks = np.split(order, first[1:]) if len(ids) else []  # np.split gives one empty part of nothing
     lines = []
     for p, track in zip(ids.tolist(), tracks, strict=True):
         xyz = " ".join(map(repr, result.points.xyz[p].tolist()))

@@ -14,6 +14,7 @@ BUILT_IN = (
         "any depth model of Transformers: Depth Anything, DPT, ...",
     ),
     ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: mono, rgbd"),
+    ("slam", "posenet", "posenet:PoseNetworkOdometry", "a pose network's motions, chained: the baseline without SLAM"),
     ("data", "synthetic", "synthetic:SyntheticSequence", "procedural street or indoor world with true poses and depth"),
     ("data", "kitti_odometry", "kitti_odometry:KittiOdometrySequence", "KITTI odometry sequences 00-21"),
     ("data", "kitti_raw", "kitti_raw:KittiRawSequence", "KITTI raw drives, Eigen split, velodyne depth, GPS poses"),
