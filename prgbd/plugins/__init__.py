@@ -15,6 +15,7 @@ BUILT_IN = (
     ),
     ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: mono, rgbd"),
     ("slam", "posenet", "posenet:PoseNetworkOdometry", "a pose network's motions, chained: the baseline without SLAM"),
+    ("slam", "colmap", "colmap:ColmapSLAM", "COLMAP's structure from motion, offline, with known or unknown camera"),
     ("data", "synthetic", "synthetic:SyntheticSequence", "procedural street or indoor world with true poses and depth"),
     ("data", "kitti_odometry", "kitti_odometry:KittiOdometrySequence", "KITTI odometry sequences 00-21"),
     ("data", "kitti_raw", "kitti_raw:KittiRawSequence", "KITTI raw drives, Eigen split, velodyne depth, GPS poses"),
@@ -26,6 +27,7 @@ BUILT_IN = (
 # The extra of pyproject.toml that a plug-in needs, and the modules that it brings.
 EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {
     ("depth", "huggingface"): ("hf", ("transformers", "safetensors")),
+    ("slam", "colmap"): ("colmap", ("pycolmap",)),
 }
 
 for _kind, _id, _target, _description in BUILT_IN:

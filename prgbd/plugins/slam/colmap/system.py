@@ -1,0 +1,179 @@
+"""``ColmapSLAM``: frames are collected, and COLMAP reconstructs them at the end."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.errors import ConfigError, DataError, SlamError
+from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
+from prgbd.core.types import Frame, Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
+from prgbd.plugins.slam.colmap.completion import depth_scale, from_first_camera, interpolate, scaled
+from prgbd.plugins.slam.colmap.reconstruction import ColmapSettings, Model, image_name, reconstruct
+
+INTRINSICS = ("given", "refine", "unknown")
+
+
+class ColmapSLAM(GeometricSLAM):
+    """Offline structure from motion on every n-th frame; frames between registered neighbours are interpolated.
+
+    Args:
+        every: Every such frame, and the last, is given to COLMAP.
+        intrinsics: ``given`` keeps the camera, ``refine`` starts from it, ``unknown`` estimates focal length and one
+            radial distortion from the images.
+        features: Most SIFT keypoints per image.
+        overlap: Images that each is matched with, and as many again at distances of powers of two.
+        init_max_forward_motion: Largest part of forward motion in the first pair; COLMAP's own is 0.95, 1 allows all.
+        init_min_tri_angle: Smallest angle of triangulation in the first pair, degrees; COLMAP's own is 16.
+        min_model_size: Models with fewer images are dropped.
+        threads: Threads for features and matches.
+        folder: Where images and the database lie while it works; None takes the system's folder for temporary files.
+
+    Raises:
+        ConfigError: If an option cannot work.
+    """
+
+    modes: ClassVar[frozenset[str]] = frozenset({"mono", "rgbd"})
+
+    def __init__(
+        self,
+        every: int = 5,
+        intrinsics: str = "given",
+        features: int = 4096,
+        overlap: int = 10,
+        init_max_forward_motion: float = 1.0,
+        init_min_tri_angle: float = 4.0,
+        min_model_size: int = 3,
+        threads: int = 2,
+        folder: str | Path | None = None,
+    ) -> None:
+        for name, value in (("every", every), ("features", features), ("overlap", overlap), ("threads", threads)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ConfigError(f"slam.{name}={value} must be a whole number, 1 or more.")
+        if intrinsics not in INTRINSICS:
+            raise ConfigError(f"slam.intrinsics={intrinsics} is unknown; choose {', '.join(INTRINSICS)}.")
+        self.every, self.folder = every, folder
+        self._options = {
+            "intrinsics": intrinsics,
+            "features": features,
+            "overlap": overlap,
+            "init_max_forward_motion": float(init_max_forward_motion),
+            "init_min_tri_angle": float(init_min_tri_angle),
+            "min_model_size": int(min_model_size),
+            "threads": threads,
+        }
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+
+    def reset(
+        self, camera: PinholeCamera, mode: str, *, baseline: float | None = None, fps: float = 30.0, seed: int = 0
+    ) -> None:
+        """See ``GeometricSLAM.reset``; baseline and frame rate are not used. The camera may have distortion."""
+        if mode not in self.modes:
+            raise ConfigError(f"colmap has no mode '{mode}'; use slam.mode=mono or slam.mode=rgbd.")
+        self.close()
+        if self.folder is not None:
+            Path(self.folder).mkdir(parents=True, exist_ok=True)
+        self._temporary = tempfile.TemporaryDirectory(prefix="prgbd-colmap-", dir=self.folder)
+        self._path = Path(self._temporary.name)
+        (self._path / "images").mkdir()
+        self._camera, self._mode, self._seed = camera, mode, seed
+        self._stamps: list[float] = []
+        self._indices: list[int] = []
+        self._stored = 0
+        self._pending: Frame | None = None
+
+    def track(self, frame: Frame) -> TrackingResult:
+        """See ``GeometricSLAM.track``: every n-th frame is written to a file."""
+        chosen = len(self._stamps) % self.every == 0
+        self._pending = None if chosen else frame
+        if chosen:
+            self._store(frame, len(self._stamps))
+        self._stamps.append(frame.timestamp)
+        self._indices.append(frame.index)
+        return TrackingResult(TrackingState.COLLECTED, None, 0, chosen, {"keyframes": self._stored})
+
+    def finish(self) -> SlamResult:
+        """See ``GeometricSLAM.finish``.
+
+        Raises:
+            SlamError: If COLMAP registers nothing, or the depth fixes no scale.
+        """
+        if self._pending is not None:  # frames behind the last registered one have no pose
+            self._store(self._pending, len(self._stamps) - 1)
+        settings = ColmapSettings(**self._options, seed=self._seed)  # type: ignore[arg-type]
+        model = from_first_camera(reconstruct(self._path, self._camera, settings))
+        depth = np.zeros(len(model.point), np.float32)
+        scale = None
+        if self._mode == "rgbd":
+            depth = self._depth_at(model)
+            scale = depth_scale(model, depth)
+            if scale is None:
+                raise SlamError(
+                    "Too few of COLMAP's points have a measured depth to fix the scale; use slam.mode=mono."
+                )
+            model = scaled(model, scale)
+        result = self._result(model, depth, scale)
+        self.close()
+        return result
+
+    def close(self) -> None:
+        """Delete the images and the database."""
+        if self._temporary is not None:
+            self._temporary.cleanup()
+            self._temporary = None
+
+    def _store(self, frame: Frame, position: int) -> None:
+        path = self._path / "images" / image_name(position)
+        if not cv2.imwrite(str(path), cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR)):
+            raise DataError(f"The image {path} could not be written; is the disk full?")
+        if self._mode == "rgbd":
+            assert frame.depth is not None  # the passive checks refuse such a frame before it comes here
+            np.save(self._path / f"{position:08d}.npy", frame.depth)
+        self._stored += 1
+
+    def _depth_at(self, model: Model) -> NDArray[np.float32]:
+        """Return the given depth at every observation, 0 where there is none."""
+        depth = np.zeros(len(model.point), np.float32)
+        for k, position in enumerate(model.frame_index):
+            rows = np.flatnonzero(model.keyframe == k)
+            given = np.load(self._path / f"{position:08d}.npy", mmap_mode="r")
+            u, v = np.rint(model.raw_uv[rows]).astype(int).T
+            depth[rows] = given[np.clip(v, 0, given.shape[0] - 1), np.clip(u, 0, given.shape[1] - 1)]
+        return np.where(np.isfinite(depth), depth, 0).astype(np.float32)
+
+    def _result(self, model: Model, depth: NDArray[np.float32], scale: float | None) -> SlamResult:
+        stamps, indices = np.array(self._stamps), np.array(self._indices, np.int64)
+        registered = model.frame_index
+        frames, wTc = interpolate(registered, model.wTc, stamps, self.every)
+        states = [TrackingState.LOST.value] * len(stamps)
+        for position in frames:
+            states[position] = TrackingState.OK.value
+        inliers = np.zeros(len(stamps), np.int32)
+        inliers[registered] = np.bincount(model.keyframe, minlength=len(registered))
+        return SlamResult(
+            camera=model.camera,
+            mode=self._mode,
+            frames=len(stamps),
+            trajectory=Trajectory(indices[frames], stamps[frames], wTc),
+            keyframes=Keyframes(
+                indices[registered], stamps[registered], model.wTc, np.zeros(len(registered), np.int32)
+            ),
+            points=MapPoints(model.xyz, model.rgb),
+            observations=Observations(model.keyframe, model.point, model.uv, depth),
+            states=states,
+            inliers=inliers,
+            stats={
+                "given_images": self._stored,
+                "registered_images": len(registered),
+                "model_sizes": model.sizes,
+                "interpolated_frames": indices[np.setdiff1d(frames, registered)].tolist(),
+                "intrinsics": self._options["intrinsics"],
+                "camera": {**model.camera.to_dict(), "distortion_found": model.distortion},
+                "depth_scale": scale,
+            },
+        )
