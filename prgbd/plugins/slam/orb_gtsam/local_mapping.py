@@ -248,14 +248,15 @@ class LocalMapper:
     def _local_problem(self, k: int) -> tuple[IntArray, NDArray[np.bool_], IntArray, IntArray, IntArray, Solver]:
         """Collect keyframes, which of them are fixed, points, observations, lone points, and the solver with copies.
 
-        A point that one keyframe alone sees (with depth) says nothing about poses, so it stays out of the problem.
+        A point that one keyframe alone sees with a sensor's depth says nothing about poses, so it stays out of the
+        problem. With pseudo depth it stays in: the map sets its depth at first, and the network's pulls at it.
         """
         world, settings, kf = self.world, self.settings, self.world.keyframes
         first = int(self._mapped(k)[0])
         local = np.append(k, self.near.of(k)[: settings.local_ba_keyframes - 1])
         points = world.seen_by(local)
         seen = world.observations(points)
-        alone = np.bincount(seen[:, 2], minlength=len(points)) == 1
+        alone = (np.bincount(seen[:, 2], minlength=len(points)) == 1) & self.rig.noise.is_zero
         single = alone[seen[:, 2]]
         lone = np.stack([seen[single, 0], points[seen[single, 2]]], axis=1)
         seen = seen[~single]
