@@ -19,11 +19,11 @@ from tqdm import tqdm
 import prgbd
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
+from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame, SlamResult
 
 # ORB-SLAM2's TUM settings: bf = 40 at fx = 500.
 KINECT_BASELINE = 0.08
-KITTI_BASELINE_OF_DEPTH = 0.54 / 80.0
 # Frames of a first run that is not counted: it loads or compiles kernels.
 WARM_UP = 6
 
@@ -118,7 +118,7 @@ def make_source(
     if mode == "pseudo_rgbd":
         source.inverse = _predict(sequence, positions, depth)
         lowest = np.percentile(np.stack(list(source.inverse.values())), 100.0 - percentile)
-        source.baseline = baseline or KITTI_BASELINE_OF_DEPTH / float(lowest)
+        source.baseline = baseline or adaptive_baseline(1.0 / float(lowest))
     elif mode != "mono":
         source.baseline = baseline or sequence.baseline or KINECT_BASELINE
     return source

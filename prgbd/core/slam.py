@@ -18,6 +18,15 @@ from prgbd.core.types import Frame, PinholeCamera, SlamResult
 
 MODES = ("mono", "rgbd", "pseudo_rgbd", "stereo")
 
+# Virtual baseline and largest depth on KITTI, whose ratio the adaptive baseline keeps (Tiwari et al., ECCV 2020).
+KITTI_BASELINE = 0.54
+KITTI_DEPTH_MAX = 80.0
+
+
+def adaptive_baseline(depth_max: float) -> float:
+    """Return the virtual baseline that goes with the largest predicted depth (Tiwari et al., ECCV 2020)."""
+    return KITTI_BASELINE / KITTI_DEPTH_MAX * depth_max
+
 
 class TrackingState(StrEnum):
     """What a SLAM system says of one frame."""

@@ -20,12 +20,10 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ContractError
 from prgbd.core.files import atomic_path, read_json, write_json
+from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame
 from prgbd.loop.monitor import Monitor, SilentMonitor
 
-# Virtual baseline and largest depth on KITTI, whose ratio the adaptive baseline keeps (Tiwari et al., ECCV 2020).
-KITTI_BASELINE = 0.54
-KITTI_DEPTH_MAX = 80.0
 _SUBSAMPLING = 8
 
 
@@ -59,11 +57,6 @@ class DepthStatistics:
             "median_depth_highest": float(median.max()),
             "largest_scale_step": float(np.expm1(steps.max())),
         }
-
-
-def adaptive_baseline(depth_max: float) -> float:
-    """Return the virtual baseline that goes with the largest predicted depth (Tiwari et al., ECCV 2020)."""
-    return KITTI_BASELINE / KITTI_DEPTH_MAX * depth_max
 
 
 class DepthSensor:

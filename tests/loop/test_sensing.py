@@ -4,7 +4,8 @@ import torch
 
 from prgbd import DepthPrediction
 from prgbd.core.errors import ContractError
-from prgbd.loop.sensing import DepthSensor, adaptive_baseline, weights_fingerprint
+from prgbd.core.slam import adaptive_baseline
+from prgbd.loop.sensing import DepthSensor, weights_fingerprint
 from tests.loop.fakes import NanDepth, Tiny, Wall, ZeroDepth
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.slam import adaptive_baseline
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
-# b = (0.54 / 80) d_max keeps KITTI's ratio of baseline and largest depth (Tiwari et al., ECCV 2020).
-_BASELINE_PER_DEPTH = 0.54 / 80.0
 # A largest depth that grows by less leaves the baseline as it is.
 _GROWTH = 1.05
 
@@ -24,7 +23,7 @@ class RunningBaseline:
     def see(self, depth: NDArray[np.float32]) -> bool:
         """Take in the depth (H, W) of a frame; return whether the baseline grew."""
         known = depth[np.isfinite(depth) & (depth > 0)]
-        found = _BASELINE_PER_DEPTH * float(known.max()) if known.size else 0.0
+        found = adaptive_baseline(float(known.max())) if known.size else 0.0
         if found <= _GROWTH * self.baseline:
             return False
         self.baseline = found
