@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
-from prgbd.plugins.slam.orb_gtsam.matching import match_by_projection
+from prgbd.plugins.slam.orb_gtsam.matching import match_by_descriptor, match_by_projection
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
@@ -82,6 +82,29 @@ def local_map(world: Map, frame: TrackedFrame, near: Neighbourhoods, settings: S
             known.add(fresh)
     keyframes = np.array(chosen, np.int64)
     return LocalMap(chosen[0], keyframes, world.seen_by(keyframes))
+
+
+def match_keyframe(world: Map, frame: TrackedFrame, k: int, *, limit: int, ratio: float) -> int:
+    """Forget the frame's matches and match it to the points of keyframe ``k`` by descriptors alone.
+
+    Args:
+        world: The map.
+        frame: The frame.
+        k: The keyframe.
+        limit: Largest Hamming distance.
+        ratio: Largest ratio between the best and the second distance.
+
+    Returns:
+        Number of matches.
+    """
+    points = world.points_of(k)
+    rows = np.flatnonzero(points >= 0)
+    keyframe = world.features(k)
+    frame.clear()
+    found = match_by_descriptor(
+        keyframe.descriptor[rows], keyframe.angle[rows], frame.features, limit=limit, ratio=ratio
+    )
+    return frame.match(found, points[rows])
 
 
 def match_local_map(

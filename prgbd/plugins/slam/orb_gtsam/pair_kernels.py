@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from prgbd.plugins.slam.orb_gtsam.reprojection import CHI2_MONO, CHI2_STEREO
-from prgbd.plugins.slam.orb_gtsam.two_view import _triangulate
+from prgbd.plugins.slam.orb_gtsam.two_view import triangulate_into
 
 # ORB-SLAM2 (LocalMapping::CreateNewMapPoints).
 _MAX_PARALLAX_COSINE = 0.9998
@@ -145,7 +145,7 @@ def place_pairs(
         measured = min(stereo1, stereo2) < _NO_STEREO
         cosine = _parallax_cosine(c2Tc1, ray1[0], ray2[0])
         if 0 < cosine < min(stereo1, stereo2) and (measured or cosine < _MAX_PARALLAX_COSINE):
-            _triangulate(c2Tc1, ray1, ray2, point)
+            triangulate_into(c2Tc1, ray1, ray2, point)
             _to_world(c1Tw, point[0], xyz[m])
         elif stereo1 < stereo2:
             _lift(uv1[i, 0], uv1[i, 1], depth1[i], c1Tw, camera, p1, xyz[m])

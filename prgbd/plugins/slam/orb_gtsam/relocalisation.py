@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
-from prgbd.plugins.slam.orb_gtsam.local_map import match_local_map
-from prgbd.plugins.slam.orb_gtsam.matching import match_by_descriptor
+from prgbd.plugins.slam.orb_gtsam.local_map import match_keyframe, match_local_map
 from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
 
@@ -89,18 +88,8 @@ class Relocaliser:
     def _pose_against(self, frame: TrackedFrame, k: int) -> bool:
         """Find the pose of a frame from the points of keyframe ``k`` and of those around it."""
         world, rig, settings = self.world, self.rig, self.settings
-        points = world.points_of(k)
-        rows = np.flatnonzero(points >= 0)
-        keyframe = world.features(k)
-        frame.clear()
-        found = match_by_descriptor(
-            keyframe.descriptor[rows],
-            keyframe.angle[rows],
-            frame.features,
-            limit=settings.distance_high,
-            ratio=settings.ratio_recovery,
-        )
-        if frame.match(found, points[rows]) < settings.min_matches_reference:
+        matches = match_keyframe(world, frame, k, limit=settings.distance_high, ratio=settings.ratio_recovery)
+        if matches < settings.min_matches_reference:
             return False
         guess = self._pnp(frame)
         if guess is None or frame.estimate_pose(world, rig, guess) < settings.min_inliers_pose:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
-from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods, local_map, match_local_map
+from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods, local_map, match_keyframe, match_local_map
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
-from prgbd.plugins.slam.orb_gtsam.matching import match_by_descriptor, match_by_projection
+from prgbd.plugins.slam.orb_gtsam.matching import match_by_projection
 from prgbd.plugins.slam.orb_gtsam.rig import Rig
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
@@ -155,18 +155,10 @@ class Tracker:
     def _from_reference(self, frame: TrackedFrame) -> bool:
         """Match the reference keyframe by descriptors and start from the previous pose."""
         world, settings = self.world, self.settings
-        points = world.points_of(self.reference)
-        rows = np.flatnonzero(points >= 0)
-        keyframe = world.features(self.reference)
-        frame.clear()
-        found = match_by_descriptor(
-            keyframe.descriptor[rows],
-            keyframe.angle[rows],
-            frame.features,
-            limit=settings.distance_low,
-            ratio=settings.ratio_reference,
+        matches = match_keyframe(
+            world, frame, self.reference, limit=settings.distance_low, ratio=settings.ratio_reference
         )
-        if frame.match(found, points[rows]) < settings.min_matches_reference:
+        if matches < settings.min_matches_reference:
             return False
         inliers = frame.estimate_pose(world, self.rig, self.last_pose())
         frame.drop_outliers()

@@ -221,13 +221,13 @@ def triangulate_pairs(c1Tw: FloatArray, c2Tw: FloatArray, rays1: FloatArray, ray
     """
     c2Tc1 = np.asarray(c2Tw, np.float64) @ inverse(np.asarray(c1Tw, np.float64))
     points = np.empty((len(rays1), 3))
-    _triangulate(c2Tc1, np.ascontiguousarray(rays1, np.float64), np.ascontiguousarray(rays2, np.float64), points)
+    triangulate_into(c2Tc1, np.ascontiguousarray(rays1, np.float64), np.ascontiguousarray(rays2, np.float64), points)
     wTc1 = inverse(np.asarray(c1Tw, np.float64))
     return points @ wTc1[:3, :3].T + wTc1[:3, 3]
 
 
 @numba.njit(cache=True, nogil=True)
-def _triangulate(c2Tc1: FloatArray, rays1: FloatArray, rays2: FloatArray, points: FloatArray) -> None:
+def triangulate_into(c2Tc1: FloatArray, rays1: FloatArray, rays2: FloatArray, points: FloatArray) -> None:
     """Fill ``points`` in coordinates of camera 1."""
     E = np.empty((3, 3))
     t0, t1, t2 = c2Tc1[0, 3], c2Tc1[1, 3], c2Tc1[2, 3]
