@@ -11,8 +11,7 @@ from prgbd.plugins.slam.orb_gtsam.lie import exp_se3, inverse, log_se3
 
 FloatArray = NDArray[np.float64]
 
-# Frames whose mean motion is taken: on made-up streets and rooms (10 frames/s) the last five left a third to a half of
-# the error after 50 frames that standing still does, the last twenty somewhat more on streets.
+# Frames whose mean motion is taken: enough to smooth a single step, few enough to follow a bend.
 _FRAMES = 5
 
 
