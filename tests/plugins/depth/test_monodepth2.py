@@ -153,6 +153,31 @@ def test_size_of_the_files_gives_way_to_the_options(official):
     assert Monodepth2(weights=official, height=96, width=320).input_size == (96, 320)
 
 
+@pytest.mark.parametrize(("height", "width"), [(72, 96), (80, 96), (88, 96), (64, 104), (80, 120)])
+def test_sides_of_8_pixels_keep_their_scales_and_camera(height, width):
+    """The depth of an image is that of the same image inside of its own mirrored border, cut out where it lay."""
+    network = Monodepth2(height=height, width=width).eval()
+    image = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
+    border = [(-height) % 32, (-width) % 32]
+    top, left = (lack // 16 * 8 for lack in border)
+    around = torch.nn.functional.pad(image, (left, border[1] - left, top, border[0] - top), mode="reflect")
+    with torch.inference_mode():
+        prediction, larger = network(image), network(around)
+    for scale, (depth, disparity) in enumerate(zip(prediction.depths, prediction.disparities, strict=True)):
+        assert depth.shape == disparity.shape == (1, 1, height >> scale, width >> scale)
+        v, u = top >> scale, left >> scale
+        assert torch.equal(depth, larger.depths[scale][..., v : v + depth.shape[2], u : u + depth.shape[3]])
+    assert network.pose_network()(image, image).shape == (1, 4, 4)
+
+
+def test_sides_of_8_pixels_are_trained_and_stored(tmp_path):
+    network = Monodepth2(height=72, width=80)
+    network(torch.rand(2, 3, 72, 80)).depths[3].mean().backward()
+    assert all(p.grad is not None for name, p in network.encoder.named_parameters() if ".fc." not in name)
+    network.save_weights(tmp_path)
+    assert Monodepth2(weights=tmp_path).input_size == (72, 80)
+
+
 def test_seed_decides_the_fresh_network():
     first, again, other = (Monodepth2(**SMALL, seed=s).depth.decoder[3].conv.conv.weight for s in (1, 1, 2))
     assert torch.equal(first, again)

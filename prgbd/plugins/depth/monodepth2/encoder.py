@@ -81,10 +81,10 @@ class ResnetEncoder(nn.Module):
         """Compute the features.
 
         Args:
-            images: (B, 3 * images, H, W) RGB in [0, 1]; H and W are multiples of 32.
+            images: (B, 3 * images, H, W) RGB in [0, 1]; the depth decoder needs multiples of 32, the pose decoder none.
 
         Returns:
-            Five features of ``CHANNELS`` channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the size.
+            Five features of ``CHANNELS`` channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the size, rounded up.
         """
         net = self.encoder
         x = F.relu(net.bn1(net.conv1((images - IMAGE_MEAN) / IMAGE_STD)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator, read_state_dict
@@ -24,8 +25,8 @@ class Monodepth2(DepthEstimator):
     Args:
         weights: Folder of official-format files (``encoder.pth``, ``depth.pth``, optionally ``pose_encoder.pth`` and
             ``pose.pth``), ``demo`` for the weights that ship with prgbd, or None for a fresh network.
-        height: Network input height, a multiple of 32; None takes the size in the weight files, or 192.
-        width: Network input width, a multiple of 32; None takes the size in the weight files, or 640.
+        height: Network input height, a multiple of 8; None takes the size in the weight files, or 192.
+        width: Network input width, a multiple of 8; None takes the size in the weight files, or 640.
         min_depth: Nearest depth that the network can express.
         max_depth: Farthest depth that the network can express.
         imagenet_weights: File with torchvision's ResNet-18 weights to start a fresh network from.
@@ -65,15 +66,30 @@ class Monodepth2(DepthEstimator):
         if weights is not None:
             self.load_weights(Path(weights))
         self.input_size = (int(height or self.input_size[0]), int(width or self.input_size[1]))
-        if min(self.input_size) < 64 or any(side % 32 for side in self.input_size):
+        if min(self.input_size) < 64 or any(side % 8 for side in self.input_size):
             raise ConfigError(
-                f"Monodepth2's input size {self.input_size[1]}x{self.input_size[0]} must be multiples of 32 from 64 "
+                f"Monodepth2's input size {self.input_size[1]}x{self.input_size[0]} must be multiples of 8 from 64 "
                 "up; change depth.width and depth.height."
             )
 
     def forward(self, images: Tensor) -> DepthPrediction:
-        """Predict depth and disparity at 4 scales for (B, 3, H, W) RGB in [0, 1]; H and W are multiples of 32."""
-        disparities = self.depth(self.encoder(images))
+        """Predict depth and disparity at 4 scales.
+
+        The encoder halves the image five times. A side that is no multiple of 32 is continued by its mirror image,
+        and that margin is cut off again at every scale, so that the camera of the image is the camera of the depth.
+
+        Args:
+            images: (B, 3, H, W) RGB in [0, 1]; H and W are multiples of 8.
+        """
+        height, width = images.shape[-2:]
+        top, bottom = _margin(height)
+        left, right = _margin(width)
+        if top or bottom or left or right:
+            images = F.pad(images, (left, right, top, bottom), mode="reflect")
+        disparities = tuple(
+            disparity[..., top >> scale : (top + height) >> scale, left >> scale : (left + width) >> scale]
+            for scale, disparity in enumerate(self.depth(self.encoder(images)))
+        )
         depths = tuple(disparity_to_depth(disparity, *self.depth_range) for disparity in disparities)
         return DepthPrediction(depths, disparities)
 
@@ -141,3 +157,10 @@ class Monodepth2(DepthEstimator):
             raise WeightsError(
                 f"{path} does not hold torchvision's ResNet-18 weights; check the option depth.imagenet_weights."
             ) from error
+
+
+def _margin(side: int) -> tuple[int, int]:
+    """Return what a multiple of 8 lacks to a multiple of 32, before and after it, both multiples of 8."""
+    lacking = -side % 32
+    before = lacking // 16 * 8
+    return before, lacking - before
