@@ -77,7 +77,7 @@ def optimise_pose(
     return cTw, inlier
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _cost(
     pose: FloatArray,
     xyz: FloatArray,
@@ -96,7 +96,7 @@ def _cost(
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def _normal_equations(
     pose: FloatArray,
     xyz: FloatArray,

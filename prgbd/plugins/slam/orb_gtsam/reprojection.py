@@ -14,7 +14,9 @@ FloatArray = NDArray[np.float64]
 CHI2_MONO = 5.991
 CHI2_STEREO = 7.815
 
-# For numba: sums may be reordered, but NaN and infinity must stay visible.
+# For numba: sums may be reordered, but NaN and infinity must stay visible. The order depends on the code around, and
+# numba calls another copy of a function on the run that compiles it than on those that load it from the cache. So that
+# all runs agree to the last bit, whatever holds such sums and is called by another kernel is inlined ("forceinline").
 FAST = {"contract", "reassoc", "nsz"}
 
 # Chi-square that a point behind the camera counts for: constant, so steps that push points back there lose.
@@ -44,7 +46,7 @@ def split_weights(inv_sigma2: FloatArray) -> FloatArray:
     return split
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)
 def keep_monocular(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: FloatArray, camera: FloatArray) -> bool:
     """Take the measured depth from an observation that only its depth makes an outlier; return whether it was.
 
@@ -59,7 +61,7 @@ def keep_monocular(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: Flo
     return False
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: FloatArray, camera: FloatArray) -> float:
     """Return the chi-square of one observation ``(u, v, u_right or -1)``; infinite behind the camera.
 
@@ -88,7 +90,7 @@ def penalty(chi2: float, stereo: bool, robust: bool) -> float:
     return chi2 if chi2 <= limit or not robust else 2.0 * math.sqrt(limit * chi2) - limit
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def linearise(
     pose: FloatArray,
     p: FloatArray,

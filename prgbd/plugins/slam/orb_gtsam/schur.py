@@ -27,7 +27,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)
 def total_cost(
     poses: FloatArray,
     points: FloatArray,
@@ -84,7 +84,7 @@ def reject_depths(
             rejected[m] = True
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def normal_equations(
     poses: FloatArray,
     points: FloatArray,
@@ -137,7 +137,7 @@ def normal_equations(
                 W[m, j, i] = w0 * A[0, j] + w1 * A[1, j] + w2 * A[2, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def invert_point_block(V: FloatArray, damping: float, out: FloatArray) -> None:
     """Invert a damped symmetric (3, 3) block; a direction that nothing observes gets a tiny weight, so it stays put."""
     trace = V[0, 0] + V[1, 1] + V[2, 2]
@@ -153,7 +153,7 @@ def invert_point_block(V: FloatArray, damping: float, out: FloatArray) -> None:
             out[j, i] = out[i, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def reduce_to_poses(
     column: IntArray,
     kf: IntArray,
@@ -206,7 +206,7 @@ def reduce_to_poses(
                         S[o + j] -= y0 * W[n, 0, j] + y1 * W[n, 1, j] + y2 * W[n, 2, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def apply_step(
     poses: FloatArray,
     points: FloatArray,

@@ -37,7 +37,7 @@ def envelope(column: IntArray, free: int, kf: IntArray, first: IntArray, offset:
     return size
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
 def solve_envelope(S: FloatArray, offset: IntArray, start: IntArray, b: FloatArray) -> bool:
     """Solve ``S x = b`` in place (``b`` becomes ``x``) by Cholesky within the envelope; False if not positive definite.
 
