@@ -6,103 +6,17 @@ All terms run in float32 even under mixed precision: SSIM's variances are differ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from prgbd.core.types import DepthPrediction
-from prgbd.training.warping import warp
+from prgbd.training.similarity import moments, photometric_error
+from prgbd.training.warping import reprojection, resampled, sampling_grid
 
-SSIM_WEIGHT = 0.85
-C1, C2 = 0.01**2, 0.03**2
 TIE_BREAK = 1e-5
 """Scale of the normal noise on the identity error; decides ties of still images at random (Monodepth2)."""
-
-
-class Moments(NamedTuple):
-    """What SSIM needs to know of one image; computed once for the target and used for every warp.
-
-    Attributes:
-        padded: (B, C, H+2, W+2) image with a reflected border.
-        mean: (B, C, H, W) mean of each 3x3 window.
-        variance: (B, C, H, W) variance of each 3x3 window.
-    """
-
-    padded: Tensor
-    mean: Tensor
-    variance: Tensor
-
-
-def _box(x: Tensor) -> Tensor:
-    """Sum over 3x3 windows, (..., H, W) -> (..., H-2, W-2), by rows and then by columns."""
-    rows = x[..., :-2, :] + x[..., 1:-1, :]
-    rows += x[..., 2:, :]
-    out = rows[..., :-2] + rows[..., 1:-1]
-    out += rows[..., 2:]
-    return out
-
-
-class _Pool(torch.autograd.Function):
-    """Mean over 3x3 windows: three times as fast on the CPU as ``avg_pool2d``, which took most of the loss's time."""
-
-    @staticmethod
-    def forward(ctx: Any, padded: Tensor) -> Tensor:
-        return _box(padded) / 9
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        # The adjoint of a box filter is the box filter of the zero-padded gradient.
-        return _box(F.pad(gradient / 9, (2, 2, 2, 2)))
-
-
-def _pool(padded: Tensor) -> Tensor:
-    return _Pool.apply(padded)
-
-
-def moments(image: Tensor) -> Moments:
-    """Return the window moments of an image (B, C, H, W)."""
-    padded = F.pad(image, (1, 1, 1, 1), mode="reflect")
-    mean = _pool(padded)
-    return Moments(padded, mean, _pool(padded * padded) - mean * mean)
-
-
-def _ssim(a: Moments, b: Moments) -> Tensor:
-    product = a.mean * b.mean
-    covariance = _pool(a.padded * b.padded) - product
-    similarity = (2 * product + C1) * (2 * covariance + C2)
-    scale = (a.mean * a.mean + b.mean * b.mean + C1) * (a.variance + b.variance + C2)
-    return ((1 - similarity / scale) / 2).clamp(0, 1)
-
-
-def ssim(a: Tensor, b: Tensor) -> Tensor:
-    """Structural dissimilarity ``clamp((1 - SSIM) / 2, 0, 1)`` with 3x3 mean windows and reflected borders.
-
-    Args:
-        a: (B, C, H, W) in [0, 1].
-        b: (B, C, H, W) in [0, 1].
-
-    Returns:
-        (B, C, H, W), 0 where the images agree.
-    """
-    return _ssim(moments(a), moments(b))
-
-
-def photometric_error(a: Tensor, b: Tensor, moments_b: Moments | None = None) -> Tensor:
-    """Per-pixel photometric error ``0.85 SSIM + 0.15 L1``, mean over the channels.
-
-    Args:
-        a: (B, C, H, W) in [0, 1].
-        b: (B, C, H, W) in [0, 1].
-        moments_b: ``moments(b)`` where the caller has them already.
-
-    Returns:
-        (B, 1, H, W).
-    """
-    structure = _ssim(moments(a), moments(b) if moments_b is None else moments_b).mean(dim=1, keepdim=True)
-    return SSIM_WEIGHT * structure + (1 - SSIM_WEIGHT) * (a - b).abs().mean(dim=1, keepdim=True)
 
 
 def smoothness(inverse_depth: Tensor, image: Tensor) -> Tensor:
@@ -186,12 +100,14 @@ def photometric_loss(
             # The identity error does not depend on depth: once for all scales, and without gradient.
             still = torch.cat([photometric_error(s, target, target_moments) for s in sources], 1) if automask else None
         size = (target.shape[-2], target.shape[-1])
+        # Neither does what of the warp depends on the motion alone.
+        motions = [reprojection(K, T, size, size) for T in sTt]
         total = target.new_zeros(())
         for depth in prediction.depths:
             full = upsampled_depth(depth.to(target.dtype), size)
             errors = [
-                photometric_error(warp(source, full, K, T)[0], target, target_moments)
-                for source, T in zip(sources, sTt, strict=True)
+                photometric_error(resampled(source, sampling_grid(full, motion)), target, target_moments)
+                for source, motion in zip(sources, motions, strict=True)
             ]
             if still is not None:
                 noise = torch.randn(still.shape, generator=generator, device=still.device, dtype=still.dtype)

@@ -6,12 +6,17 @@ sequences. ``sTt`` maps points of the target camera to the source camera.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 NEAREST = 1e-6
-"""Depth below which a point counts as behind the camera; also keeps the division of ``project`` finite."""
+"""Depth below which a point counts as behind the camera; also keeps the projection finite."""
+
+ON_BORDER = 1e-5
+"""Beyond the border by this much is on it, in halves of the image's width or height."""
 
 
 def pixel_grid(height: int, width: int, *, device: torch.device, dtype: torch.dtype) -> Tensor:
@@ -39,54 +44,84 @@ def inverse_intrinsics(K: Tensor) -> Tensor:
     return torch.stack(rows, dim=1).view(-1, 3, 3)
 
 
-def backproject(depth: Tensor, K: Tensor) -> Tensor:
-    """Lift every pixel of a depth map to camera coordinates.
+class Reprojection(NamedTuple):
+    """All of a warp that does not depend on depth: target pixel p of depth d lies at ``d * rays[p] + offset``.
+
+    The first two coordinates are divided by the third and less 1 in [-1, 1] between the centres of the outermost
+    pixels of the source (``align_corners=True``); the third is the depth seen from the source.
+
+    Attributes:
+        rays: (B, 3, H*W), row by row.
+        offset: (B, 3, 1).
+    """
+
+    rays: Tensor
+    offset: Tensor
+
+
+def reprojection(K: Tensor, sTt: Tensor, size: tuple[int, int], source_size: tuple[int, int]) -> Reprojection:
+    """Prepare warps by one motion, for any number of depth maps.
 
     Args:
-        depth: (B, 1, H, W), z along the optical axis.
-        K: (B, 3, 3) intrinsics of the depth map's own size, pixels.
+        K: (B, 3, 3) intrinsics of both views, pixels.
+        sTt: (B, 4, 4) transform from target camera to source camera.
+        size: (height, width) of the target.
+        source_size: (height, width) of the source.
+    """
+    scale = K.new_tensor([2 / (source_size[1] - 1), 2 / (source_size[0] - 1), 1.0])[:, None]
+    scaled = scale * K
+    grid = pixel_grid(*size, device=K.device, dtype=K.dtype)
+    return Reprojection(scaled @ sTt[:, :3, :3] @ inverse_intrinsics(K) @ grid, scaled @ sTt[:, :3, 3:])
+
+
+class _Grid(torch.autograd.Function):
+    """Where to sample, with the gradient written out: autograd would keep and walk through nine maps."""
+
+    @staticmethod
+    def forward(ctx: Any, depth: Tensor, rays: Tensor, offset: Tensor) -> Tensor:
+        points = torch.addcmul(offset, rays, depth)
+        z = points[:, 2:].clamp(min=NEAREST)
+        grid = (points[:, :2] / z).sub_(1)
+        ctx.save_for_backward(depth, rays, grid, z)
+        return grid
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+        depth, rays, grid, z = ctx.saved_tensors
+        by_points = torch.empty_like(rays)
+        by_xy = torch.div(gradient, z, out=by_points[:, :2])
+        # A point behind the camera passes no gradient through its depth.
+        torch.sum((grid + 1).mul_(by_xy), dim=1, keepdim=True, out=by_points[:, 2:]).mul_(z > NEAREST).neg_()
+        needs_depth, needs_rays, needs_offset = ctx.needs_input_grad
+        by_depth = (by_points * rays).sum(dim=1, keepdim=True) if needs_depth else None
+        by_offset = by_points.sum(dim=2, keepdim=True) if needs_offset else None
+        return by_depth, by_points.mul_(depth) if needs_rays else None, by_offset
+
+
+def sampling_grid(depth: Tensor, motion: Reprojection) -> Tensor:
+    """Project the pixels of a target view into a source.
+
+    Args:
+        depth: (B, 1, H, W), z along the optical axis of the target.
+        motion: See ``reprojection``.
 
     Returns:
-        (B, 3, H*W) points in the unit of the depth, row by row.
+        (B, 2, H, W): x and y in [-1, 1] between the centres of the outermost pixels of the source. Points behind its
+        camera land far outside.
     """
     batch, _, height, width = depth.shape
-    grid = pixel_grid(height, width, device=depth.device, dtype=depth.dtype)
-    rays = inverse_intrinsics(K) @ grid
-    return rays * depth.view(batch, 1, height * width)
+    grid: Tensor = _Grid.apply(depth.reshape(batch, 1, height * width), *motion)
+    return grid.view(batch, 2, height, width)
 
 
-def transform(T: Tensor, points: Tensor) -> Tensor:
-    """Apply rigid transforms (B, 4, 4) to points (B, 3, N)."""
-    return torch.baddbmm(T[:, :3, 3:], T[:, :3, :3], points)
-
-
-def project(points: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-    """Project camera coordinates to pixels.
-
-    Args:
-        points: (B, 3, N).
-        K: (B, 3, 3) intrinsics, pixels.
-
-    Returns:
-        Pixels (B, 2, N) and depth (B, 1, N). Points behind the camera land far outside of the image, without gradient
-        through their depth.
-    """
-    homogeneous = K @ points
-    depth = homogeneous[:, 2:]
-    return homogeneous[:, :2] / depth.clamp(min=NEAREST), depth
-
-
-def normalised(pixels: Tensor, height: int, width: int) -> Tensor:
-    """Scale pixels (B, 2, N) to [-1, 1] between the centres of the outermost pixels (``align_corners=True``)."""
-    size = pixels.new_tensor([width - 1, height - 1]).view(1, 2, 1)
-    return 2 * pixels / size - 1
+def resampled(source: Tensor, grid: Tensor) -> Tensor:
+    """Sample a source (B, C, H, W) bilinearly at ``sampling_grid``'s (B, 2, h, w); outside is the border's colour."""
+    return F.grid_sample(source, grid.permute(0, 2, 3, 1), mode="bilinear", padding_mode="border", align_corners=True)
 
 
 def warp(source: Tensor, depth: Tensor, K: Tensor, sTt: Tensor) -> tuple[Tensor, Tensor]:
     """Synthesise the target view from a source image (Monodepth2: back-project, transform, project, sample).
-
-    Coordinates are normalised between the outermost pixel *centres*, so the bilinear sampling uses
-    ``align_corners=True``; samples outside of the source take its border.
 
     Args:
         source: (B, C, H, W) source image.
@@ -98,11 +133,12 @@ def warp(source: Tensor, depth: Tensor, K: Tensor, sTt: Tensor) -> tuple[Tensor,
         The warped image (B, C, H, W), and where it was really seen, (B, 1, H, W) bool.
     """
     batch, _, height, width = depth.shape
-    pixels, z = project(transform(sTt, backproject(depth, K)), K)
-    grid = normalised(pixels, source.shape[-2], source.shape[-1])
-    valid = ((grid.detach().abs() <= 1).all(dim=1, keepdim=True) & (z.detach() > NEAREST)).view(batch, 1, height, width)
-    grid = grid.view(batch, 2, height, width).permute(0, 2, 3, 1)
-    return F.grid_sample(source, grid, mode="bilinear", padding_mode="border", align_corners=True), valid
+    motion = reprojection(K, sTt, (height, width), (source.shape[-2], source.shape[-1]))
+    grid = sampling_grid(depth, motion)
+    z = torch.addcmul(motion.offset[:, 2:], motion.rays[:, 2:], depth.reshape(batch, 1, -1)).view(depth.shape)
+    # A point that falls on the border itself was seen, whatever side of it rounding puts it.
+    valid = (grid.detach().abs() <= 1 + ON_BORDER).all(dim=1, keepdim=True) & (z.detach() > NEAREST)
+    return resampled(source, grid), valid
 
 
 def transformation_from_parameters(axisangle: Tensor, translation: Tensor, invert: bool = False) -> Tensor:

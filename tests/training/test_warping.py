@@ -47,11 +47,10 @@ def test_rotation_is_differentiable_at_zero():
 
 def test_projection_has_the_published_figures():
     depth, K, T = golden_scene()
-    pixels, z = warping.project(warping.transform(T, warping.backproject(depth, K)), K)
-    grid = warping.normalised(pixels, HEIGHT, WIDTH).view(2, HEIGHT, WIDTH)
+    size = (HEIGHT, WIDTH)
+    grid = warping.sampling_grid(depth, warping.reprojection(K, T, size, size))[0]
     assert grid[:, 96, 320].tolist() == pytest.approx(GOLDEN["warp"]["pix[96,320]"], abs=1e-5)
     assert grid[:, 10, 600].tolist() == pytest.approx(GOLDEN["warp"]["pix[10,600]"], abs=1e-5)
-    assert (z > 0).all()
 
 
 def test_warp_has_the_published_mean():
@@ -60,13 +59,13 @@ def test_warp_has_the_published_mean():
     assert 0.5 < valid.double().mean() < 1
 
 
-def test_project_undoes_backproject_with_intrinsics_per_sample():
+def test_without_motion_every_pixel_stays_with_intrinsics_per_sample():
     depth = torch.rand(2, 1, 5, 7, dtype=torch.float64) + 1
     K = torch.tensor([[[9.0, 0, 3], [0, 8, 2], [0, 0, 1]], [[5.0, 0, 2.5], [0, 6, 1.5], [0, 0, 1]]]).double()
-    pixels, z = warping.project(warping.backproject(depth, K), K)
-    grid = warping.pixel_grid(5, 7, device=depth.device, dtype=depth.dtype)[:2]
-    assert torch.allclose(pixels, grid.expand(2, -1, -1), atol=1e-9)
-    assert torch.allclose(z.view_as(depth), depth)
+    motion = warping.reprojection(K, torch.eye(4).double().expand(2, 4, 4), (5, 7), (5, 7))
+    pixels = (warping.sampling_grid(depth, motion) + 1) * torch.tensor([3.0, 2.0]).double()[:, None, None]
+    grid = warping.pixel_grid(5, 7, device=depth.device, dtype=depth.dtype)[:2].view(2, 5, 7)
+    assert torch.allclose(pixels, grid.expand(2, -1, -1, -1), atol=1e-9)
     assert torch.allclose(K @ warping.inverse_intrinsics(K), torch.eye(3).double().expand(2, 3, 3), atol=1e-12)
 
 
@@ -106,3 +105,31 @@ def test_warp_gradient_agrees_with_finite_differences():
         torch.tensor([[0.01, -0.02, 0.03]]).double(), torch.tensor([[0.11, -0.07, 0.1]]).double()
     )
     assert torch.autograd.gradcheck(lambda d: warping.warp(source, d, K, T)[0], depth)
+
+
+def test_grid_gradient_by_depth_and_motion_agrees_with_finite_differences():
+    torch.manual_seed(1)
+    depth = (2 + torch.rand(2, 1, 3, 4, dtype=torch.float64)).requires_grad_()
+    K = torch.tensor([[9.0, 0, 1.5], [0, 8, 1], [0, 0, 1]]).double().expand(2, 3, 3)
+    angle = (0.1 * torch.randn(2, 3, dtype=torch.float64)).requires_grad_()
+    t = (0.2 * torch.randn(2, 3, dtype=torch.float64)).requires_grad_()
+
+    def grid(depth, angle, t):
+        T = warping.transformation_from_parameters(angle, t)
+        return warping.sampling_grid(depth, warping.reprojection(K, T, (3, 4), (3, 4)))
+
+    assert torch.autograd.gradcheck(grid, (depth, angle, t))
+
+
+def test_a_point_behind_the_camera_lands_far_outside_and_passes_no_gradient_through_its_depth():
+    depth = torch.full((1, 1, 3, 4), 2.0, requires_grad=True)
+    K = torch.tensor([[[9.0, 0, 1.5], [0, 8, 1], [0, 0, 1]]])
+    sTt = torch.eye(4)[None].clone()
+    sTt[0, 2, 3] = -5.0
+    grid = warping.sampling_grid(depth, warping.reprojection(K, sTt, (3, 4), (3, 4)))
+    assert (grid.abs() > 100).any(dim=1).all()
+    by_depth = torch.autograd.grad(grid.sum(), depth)[0].abs()
+    # Only the numerator depends on depth: the rays through the pixels, over NEAREST.
+    motion = warping.reprojection(K, sTt, (3, 4), (3, 4))
+    expected = (motion.rays[:, :2].sum(dim=1) / warping.NEAREST).abs().view(1, 1, 3, 4)
+    assert torch.allclose(by_depth, expected)

@@ -59,7 +59,10 @@ class Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Apply to (B, C, H, W); the size stays."""
-        return F.elu(self.conv(F.pad(x, (1, 1, 1, 1), mode="reflect")), inplace=True)
+        # Autocast would pad in float32 on the CPU: two conversions of the whole map for no digit gained.
+        with torch.autocast(x.device.type, enabled=False):
+            padded = F.pad(x, (1, 1, 1, 1), mode="reflect")
+        return F.elu(self.conv(padded), inplace=True)
 
 
 class Head(nn.Module):

@@ -21,7 +21,10 @@ class Conv3x3(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Apply to (B, C, H, W); the size stays."""
-        return self.conv(F.pad(x, (1, 1, 1, 1), mode="reflect"))
+        # Autocast would pad in float32 on the CPU: two conversions of the whole map for no digit gained.
+        with torch.autocast(x.device.type, enabled=False):
+            padded = F.pad(x, (1, 1, 1, 1), mode="reflect")
+        return self.conv(padded)
 
 
 class ConvBlock(nn.Module):
