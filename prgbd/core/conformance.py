@@ -16,7 +16,8 @@ import numpy as np
 
 from prgbd.core.data import Sequence
 from prgbd.core.passive import CheckedSLAM, check_declarations, with_checks
-from prgbd.core.slam import MODES, GeometricSLAM
+from prgbd.core.planar_scene import planar_scene
+from prgbd.core.slam import MODES, GeometricSLAM, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.core.validation import check_depth_map, check_frame, check_prediction, require
 
@@ -260,12 +261,16 @@ class _SlamChecks:
         modes = [mode for mode in sorted(self.system.modes) if mode in MODES]
         if self.given is not None and self.given[0].right is None:
             modes = [mode for mode in modes if mode != "stereo"]
+        saves = bool(modes) and type(self.system).save_map is not GeometricSLAM.save_map
+        # Not every scene lets a monocular system start, so the map is made in a mode with depth where there is one.
+        maps = sorted(modes, key=lambda mode: mode == "mono")[:1] if saves else []
         return [
             Check("declares its modes", self._declarations),
             *(
-                Check(f"{mode}: a sound result, the same for the same seed", partial(self._mode, mode))
+                Check(f"{mode}: sound results and views, the same for the same seed", partial(self._mode, mode))
                 for mode in modes
             ),
+            *(Check("save_map and load_map: frames are found again", partial(self._map, mode)) for mode in maps),
             Check("closes, twice if need be", self._close),
         ]
 
@@ -275,10 +280,13 @@ class _SlamChecks:
         known = bool(modes) and set(modes) <= set(MODES)
         require(known, self.who, f"declares the modes {sorted(modes)}; choose from {', '.join(MODES)}.")
 
-    def _mode(self, mode: str) -> None:
+    def _scene(self) -> tuple[PinholeCamera, list[Frame]]:
         frames = self.given if self.given is not None else planar_scene()
         height, width = frames[0].image.shape[:2]
-        camera = PinholeCamera.from_fov(width, height, 60.0)
+        return PinholeCamera.from_fov(width, height, 60.0), frames
+
+    def _mode(self, mode: str) -> None:
+        camera, frames = self._scene()
         checked, who = CheckedSLAM(self.system, self.who), self.who
         first, second = (_run(checked, camera, mode, frames) for _ in range(2))
         same = len(first.trajectory) == len(second.trajectory)
@@ -287,42 +295,40 @@ class _SlamChecks:
         require(same, who, "gives another trajectory for the same frames and seed; seed everything in reset.")
         self.result = first
 
+    def _map(self, mode: str) -> None:
+        camera, frames = self._scene()
+        checked = CheckedSLAM(self.system, self.who)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "map"
+            _reset(checked, camera, mode)
+            tracked = [checked.track(frame).state for frame in frames]
+            checked.save_map(path)
+            checked.finish()
+            if TrackingState.OK not in tracked:
+                return  # no map came about that could be loaded
+            written = [item for item in Path(folder).rglob("*") if item.is_file()]
+            require(written, self.who, "writes no file in save_map.")
+            _reset(checked, camera, mode)
+            checked.load_map(path)
+            found = [checked.track(frame).state for frame in frames]
+            checked.finish()
+        require(TrackingState.OK in found, self.who, "finds none of the frames again in the map that it saved.")
+
     def _close(self) -> None:
         self.system.close()
         self.system.close()
 
 
-def _run(checked: CheckedSLAM, camera: PinholeCamera, mode: str, frames: list[Frame]) -> SlamResult:
+def _reset(checked: CheckedSLAM, camera: PinholeCamera, mode: str) -> None:
     checked.reset(camera, mode, baseline=None if mode == "mono" else 0.1, fps=10.0, seed=3)
+
+
+def _run(checked: CheckedSLAM, camera: PinholeCamera, mode: str, frames: list[Frame]) -> SlamResult:
+    _reset(checked, camera, mode)
     for frame in frames:
         checked.track(frame)
+        checked.view()
     blank = np.zeros_like(frames[-1].image)
     depth = np.ones(blank.shape[:2], np.float32)
     checked.track(Frame(len(frames), frames[-1].timestamp + 0.1, blank, depth, blank))
     return checked.finish()
-
-
-def planar_scene(count: int = 8, width: int = 320, height: int = 240) -> list[Frame]:
-    """Make frames of a camera (60 degrees field of view) that slides along a textured wall 2 m away.
-
-    Args:
-        count: Number of frames.
-        width: Image width in pixels.
-        height: Image height in pixels.
-
-    Returns:
-        Frames with exact depth, and right images of a pair with a baseline of 0.1 m.
-    """
-    import cv2
-
-    rng = np.random.default_rng(0)
-    focal, distance, step = PinholeCamera.from_fov(width, height, 60.0).fx, 2.0, 3
-    canvas = np.kron(rng.integers(0, 256, (height // 8 + 1, width // 8 + 40, 3), dtype=np.uint8), np.ones((8, 8, 1)))
-    canvas = np.asarray(cv2.GaussianBlur(canvas.astype(np.uint8), (5, 5), 1.0))
-    shift = round(focal * 0.1 / distance)
-    frames = []
-    for i in range(count):
-        left, right = (canvas[:height, i * step + o : i * step + o + width] for o in (0, shift))
-        depth = np.full((height, width), distance, np.float32)
-        frames.append(Frame(i, i * 0.1, np.ascontiguousarray(left), depth, np.ascontiguousarray(right)))
-    return frames

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
-from prgbd.core.errors import ConfigError, ContractError
+from prgbd.core.errors import ConfigError, ContractError, PrgbdError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.core.validation import (
@@ -19,8 +21,21 @@ from prgbd.core.validation import (
     check_prediction,
     check_slam_result,
     check_tracking_result,
+    check_view,
     require,
 )
+
+
+@contextmanager
+def _named(who: str) -> Iterator[None]:
+    """Add to the traceback of an error inside a plug-in which plug-in it was."""
+    try:
+        yield
+    except PrgbdError:
+        raise
+    except Exception as error:
+        error.add_note(f"{who} raised this; mend it, or choose another plug-in.")
+        raise
 
 
 def with_checks(kind: str, plugin_id: str, plugin: Any) -> Any:
@@ -83,7 +98,8 @@ class CheckedSLAM(GeometricSLAM):
             raise ConfigError(f"Mode '{mode}' needs a positive baseline in metres, got {baseline}; set slam.baseline.")
         if not np.isfinite(fps) or fps <= 0:
             raise ConfigError(f"The frame rate must be positive, got {fps}; check the time stamps or set data.fps.")
-        self.unwrapped.reset(camera, mode, baseline=baseline, fps=fps, seed=seed)
+        with _named(self._who):
+            self.unwrapped.reset(camera, mode, baseline=baseline, fps=fps, seed=seed)
         self._camera, self._mode, self._frames, self._last = camera, mode, 0, -np.inf
 
     def track(self, frame: Frame) -> TrackingResult:
@@ -100,7 +116,8 @@ class CheckedSLAM(GeometricSLAM):
             raise ContractError(f"Frame {frame.index} has no depth, which mode '{self._mode}' needs; use mode 'mono'.")
         if self._mode == "stereo" and frame.right is None:
             raise ContractError(f"Frame {frame.index} has no right image, which mode 'stereo' needs; use mode 'mono'.")
-        result = self.unwrapped.track(frame)
+        with _named(self._who):
+            result = self.unwrapped.track(frame)
         check_tracking_result(result, self._who)
         self._frames += 1
         self._last = frame.timestamp
@@ -110,7 +127,8 @@ class CheckedSLAM(GeometricSLAM):
         """See ``GeometricSLAM.finish``."""
         if self._camera is None:
             raise ContractError(f"{self._who} was asked to finish before reset; call reset first.")
-        result = self.unwrapped.finish()
+        with _named(self._who):
+            result = self.unwrapped.finish()
         check_slam_result(result, self._frames, self._who)
         self._camera = None
         return result
@@ -125,7 +143,9 @@ class CheckedSLAM(GeometricSLAM):
 
     def view(self) -> SlamView | None:
         """See ``GeometricSLAM.view``."""
-        return self.unwrapped.view()
+        view = self.unwrapped.view()
+        check_view(view, self._who)
+        return view
 
     def close(self) -> None:
         """See ``GeometricSLAM.close``."""
@@ -157,7 +177,8 @@ class CheckedSequence(Sequence):
         """See ``Sequence.frame``."""
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
-        frame = self.unwrapped.frame(index)
+        with _named(self._who):
+            frame = self.unwrapped.frame(index)
         check_frame(frame, self.camera, self._who)
         return frame
 

@@ -152,7 +152,7 @@ class Registry:
             )
         try:
             target = _import(spec.target)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a module that calls sys.exit must not end the program
             raise BrokenPluginError(
                 f"The {spec.kind} plug-in '{spec.id}' ({spec.origin}) could not be imported from {spec.target}: "
                 f"{type(error).__name__}: {error}; mend or uninstall it."
@@ -187,7 +187,7 @@ class Registry:
             plugin = cls(**arguments)
         except PrgbdError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise BrokenPluginError(
                 f"The {kind} plug-in '{spec.id}' ({spec.origin}) could not be made: {type(error).__name__}: {error}; "
                 "check its options or mend it."

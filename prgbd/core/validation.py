@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from prgbd.core.errors import ContractError
-from prgbd.core.slam import TrackingResult, TrackingState
+from prgbd.core.slam import SlamView, TrackingResult, TrackingState
 from prgbd.core.types import DepthPrediction, Frame, PinholeCamera, SlamResult
 
 if TYPE_CHECKING:
@@ -37,14 +37,29 @@ def check_pose(wTc: Any, who: str) -> None:
     )
 
 
-def check_depth_map(depth: Any, shape: tuple[int, int], who: str, *, allow_unknown: bool = True) -> None:
-    """Require an (H, W) float32 map of finite depth, with 0 for unknown if that is allowed."""
+def check_poses(wTc: Any, frame_index: Any, who: str) -> None:
+    """Require finite (N, 4, 4) poses to be rigid transforms; the first that is none is named by its frame."""
+    rotation = wTc[:, :3, :3]
+    skewed = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0.0) > 1e-4
+    skewed |= (np.linalg.det(rotation) < 0) | (np.abs(wTc[:, 3] - [0, 0, 0, 1]).max(1, initial=0.0) > 1e-8)
+    if skewed.any():
+        first = int(np.argmax(skewed))
+        check_pose(wTc[first], f"{who}, frame {frame_index[first]},")
+
+
+def check_depth_shape(depth: Any, shape: tuple[int, int], who: str) -> None:
+    """Require an (H, W) float32 array, whatever is in it."""
     require(
         isinstance(depth, np.ndarray) and depth.shape == shape,
         who,
         f"gave depth of shape {getattr(depth, 'shape', type(depth).__name__)}; it must be {shape} like the image.",
     )
     require(depth.dtype == np.float32, who, f"gave depth as {depth.dtype}; it must be float32.")
+
+
+def check_depth_map(depth: Any, shape: tuple[int, int], who: str, *, allow_unknown: bool = True) -> None:
+    """Require an (H, W) float32 map of finite depth, with 0 for unknown if that is allowed."""
+    check_depth_shape(depth, shape, who)
     bad = int(np.count_nonzero(~np.isfinite(depth)))
     require(bad == 0, who, f"gave {bad} depth values that are NaN or infinite; mark unknown depth with 0.")
     lowest = float(depth.min()) if depth.size else 0.0
@@ -55,15 +70,16 @@ def check_frame(frame: Any, camera: PinholeCamera, who: str) -> None:
     """Require an RGB uint8 image, and depth and right image, of the camera's size."""
     require(isinstance(frame, Frame), who, f"gave a {type(frame).__name__} where a prgbd.Frame belongs.")
     shape = (camera.height, camera.width)
+    here = f"{who}, frame {frame.index},"
     for name, image in (("image", frame.image), ("right image", frame.right)):
         if image is None and name == "right image":
             continue
         fits = isinstance(image, np.ndarray) and image.shape == (*shape, 3) and image.dtype == np.uint8
         found = f"{getattr(image, 'shape', None)} {getattr(image, 'dtype', type(image).__name__)}"
-        require(fits, who, f"gave an {name} {found}; the camera asks for {(*shape, 3)} uint8 RGB.")
+        require(fits, here, f"gave the {name} as {found}; the camera asks for {(*shape, 3)} uint8 RGB.")
     require(np.isfinite(frame.timestamp), who, f"gave frame {frame.index} a time stamp that is not finite.")
     if frame.depth is not None:
-        check_depth_map(frame.depth, shape, f"{who}, frame {frame.index},")
+        check_depth_map(frame.depth, shape, here)
 
 
 def check_prediction(prediction: Any, images: Tensor, who: str) -> None:
@@ -77,6 +93,9 @@ def check_prediction(prediction: Any, images: Tensor, who: str) -> None:
     )
     widths = []
     for depth in prediction.depths:
+        real = isinstance(depth, torch.Tensor) and depth.is_floating_point()
+        found = getattr(depth, "dtype", type(depth).__name__)
+        require(real, who, f"returned depth as {found} from forward; it must be a torch tensor of floating point.")
         shape = tuple(depth.shape)
         require(
             len(shape) == 4 and shape[0] == images.shape[0] and shape[1] == 1,
@@ -103,6 +122,19 @@ def check_tracking_result(result: Any, who: str) -> None:
         check_pose(result.wTc, who)
 
 
+def check_view(view: Any, who: str) -> None:
+    """Require a ``SlamView`` whose columns have the documented shapes, or None."""
+    if view is None:
+        return
+    require(isinstance(view, SlamView), who, f"returned a {type(view).__name__} from view; it must be a SlamView.")
+    for name, tail in (("keyframes", (4, 4)), ("points", (3,)), ("rgb", (3,)), ("keypoints", (2,))):
+        shape = np.shape(getattr(view, name))
+        columns = ", ".join(map(str, ("N", *tail)))
+        require(shape[1:] == tail and shape, who, f"gives a view whose {name} have shape {shape}, not ({columns}).")
+    count, colours = len(view.points), len(view.rgb)
+    require(count == colours, who, f"gives a view of {count} points with {colours} colours.")
+
+
 def check_slam_result(result: Any, frames: int, who: str) -> None:
     """Require a ``SlamResult`` whose columns agree with each other and with the number of frames."""
     require(isinstance(result, SlamResult), who, f"returned a {type(result).__name__} from finish, not a SlamResult.")
@@ -120,8 +152,7 @@ def check_slam_result(result: Any, frames: int, who: str) -> None:
         "gives a trajectory with poses that are not finite (N, 4, 4).",
     )
     require(np.all(np.diff(trajectory.frame_index) > 0), who, "gives a trajectory whose frames do not ascend.")
-    for pose in trajectory.wTc[:1]:
-        check_pose(pose, who)
+    check_poses(trajectory.wTc, trajectory.frame_index, who)
     require(np.isfinite(result.points.xyz).all(), who, "gives map points that are not finite.")
     m = len(observations)
     if m:

@@ -22,6 +22,7 @@ from prgbd.core.errors import ContractError
 from prgbd.core.files import atomic_path, read_json, write_json
 from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame
+from prgbd.core.validation import check_depth_shape
 from prgbd.loop.monitor import Monitor, SilentMonitor
 
 _SUBSAMPLING = 8
@@ -171,7 +172,11 @@ class DepthSensor:
         """Predict (n, h, w) depth at the network's size, or the plug-in's own if it brings its own ``predict``."""
         images = [self.sequence.frame(index).image for index in indices]
         if type(self.estimator).predict is not DepthEstimator.predict:
-            return np.stack([self.estimator.predict(image) for image in images])
+            maps = [self.estimator.predict(image) for image in images]
+            for index, image, depth in zip(indices, images, maps, strict=True):
+                who = f"The depth plug-in '{self.name}', frame {index} of '{self.sequence.name}',"
+                check_depth_shape(depth, (image.shape[0], image.shape[1]), who)
+            return np.stack(maps)
         was_training = self.estimator.training
         self.estimator.eval()
         try:

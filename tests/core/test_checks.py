@@ -20,9 +20,10 @@ from prgbd import (
     check_sequence,
     check_slam,
 )
-from prgbd.core.conformance import planar_scene
 from prgbd.core.errors import ConfigError, ContractError
 from prgbd.core.passive import CheckedSequence, CheckedSLAM
+from prgbd.core.planar_scene import planar_scene
+from prgbd.core.slam import SlamView
 from tests.core.plugins import Constant, NotANumber, Ramp
 
 
@@ -103,6 +104,58 @@ def test_a_system_that_is_not_repeatable_is_caught() -> None:
 
     with pytest.raises(ContractError, match="same frames and seed"):
         check_slam(Random())
+
+
+class Remembers(Still):
+    """Writes a map file, and is lost in every map but its own."""
+
+    loaded = None
+
+    def reset(self, *args, **kwargs):
+        super().reset(*args, **kwargs)
+        self.loaded = None
+
+    def track(self, frame):
+        tracked = super().track(frame)
+        return TrackingResult(TrackingState.LOST) if self.loaded not in (None, "the wall") else tracked
+
+    def save_map(self, path):
+        path.write_text("the wall")
+
+    def load_map(self, path):
+        self.loaded = path.read_text()
+
+
+class WritesNothing(Remembers):
+    def save_map(self, path):
+        pass
+
+
+class FindsNothing(Remembers):
+    def save_map(self, path):
+        path.write_text("another place")
+
+
+def test_maps_are_saved_and_loaded_where_a_system_can() -> None:
+    check_slam(Remembers())
+    with pytest.raises(ContractError, match="writes no file"):
+        check_slam(WritesNothing())
+    with pytest.raises(ContractError, match="finds none of the frames"):
+        check_slam(FindsNothing())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"points": np.zeros((5, 2))}, r"points have shape \(5, 2\)"), ({"rgb": np.zeros((2, 3))}, "2 colours")],
+)
+def test_a_spoilt_view_is_caught(changes, message) -> None:
+    class Shown(Still):
+        def view(self):
+            sound = SlamView(np.eye(4)[None], np.zeros((5, 3)), np.zeros((5, 3), np.uint8), np.zeros((1, 2)))
+            return replace(sound, **changes)
+
+    with pytest.raises(ContractError, match=message):
+        check_slam(Shown())
 
 
 def test_the_order_of_calls_is_kept(checked, camera) -> None:

@@ -9,8 +9,8 @@ import pytest
 
 import prgbd
 from prgbd import Frame, PinholeCamera, Sequence
-from prgbd.core.conformance import planar_scene
 from prgbd.core.errors import DataError
+from prgbd.core.planar_scene import planar_scene
 from prgbd.core.preflight import preflight
 
 

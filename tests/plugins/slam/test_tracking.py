@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prgbd.core.conformance import planar_scene
 from prgbd.core.errors import ContractError
+from prgbd.core.planar_scene import planar_scene
 from prgbd.core.slam import TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
