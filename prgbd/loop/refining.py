@@ -22,14 +22,33 @@ from prgbd.training.refinement_settings import TERMS, RefinementSettings
 
 
 class TrainingProgress(Callback):
-    """Tells a ``Progress`` of every training step."""
+    """Tells a ``Progress`` of every training step, and a training that goes on where it does so.
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
+    Args:
+        progress: Counts samples.
+        say: Tells one line.
+    """
+
+    def __init__(self, progress: Progress, say: Callable[[str], None]) -> None:
+        self._progress: Progress | None = progress
+        self._say: Callable[[str], None] | None = say
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the terminal behind on the way to a spawned process."""
+        return {"_progress": None, "_say": None}
+
+    def on_train_start(self, trainer: Any, pl_module: Any) -> None:
+        """Say where a training goes on that was stopped."""
+        if self._progress is None or self._say is None or not trainer.global_step:
+            return
+        batches = trainer.fit_loop.epoch_loop.batch_progress.total.processed
+        self._progress.advance(batches * (trainer.train_dataloader.batch_size or 1))
+        self._say(f"  the training goes on at step {trainer.global_step + 1} of {trainer.estimated_stepping_batches}")
 
     def on_train_batch_end(self, trainer: Any, pl_module: Any, outputs: Any, batch: Any, batch_idx: int) -> None:
-        """Count the keyframes of a step."""
-        self._progress.advance(len(batch[0]), loss=f"{float(outputs['loss']):.4f}")
+        """Count the samples of a step."""
+        if self._progress is not None:
+            self._progress.advance(len(batch[0]), loss=f"{float(outputs['loss']):.4f}")
 
 
 class Refiner:
@@ -77,7 +96,7 @@ class Refiner:
         logger = self.make_logger(folder) if self.make_logger is not None else None
         try:
             with interruptible(), monitor.stage("Refinement", keyframes * self.settings.epochs) as progress:
-                options["callbacks"] = [TrainingProgress(progress)]
+                options["callbacks"] = [TrainingProgress(progress, monitor.say)]
                 outcome = refine(estimator, supervised, self.settings, folder, options, logger)
         except SlamError as error:
             monitor.say(f"  {error}")

@@ -13,7 +13,7 @@ from typing import Any
 
 import lightning
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar
+from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.utilities.seed import isolate_rng
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from rich.progress import track
@@ -23,12 +23,14 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
 from prgbd.training.augmentation import jittered
+from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process
 from prgbd.training.images import image_folder
 from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
-from prgbd.training.pretraining_data import DecodedSequence, PretrainingData, Triplets, decode, epoch_seed
+from prgbd.training.pretraining_data import DecodedSequence, PretrainingData, Triplets, decode
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.quiet import quiet_lightning
+from prgbd.training.sampling import step_seed
 from prgbd.training.warping import invert_rigid
 
 
@@ -46,6 +48,7 @@ class DepthPretraining(lightning.LightningModule):
         held_out_before: Loss on the held-out triplets before training; a training that goes on finds it in its
             checkpoint.
         epochs: Number of passes that were begun; kept in the checkpoint as well.
+        steps: Number of steps of the optimiser.
     """
 
     def __init__(self, estimator: DepthEstimator, pose: nn.Module, settings: PretrainingSettings) -> None:
@@ -55,16 +58,20 @@ class DepthPretraining(lightning.LightningModule):
         self.settings = settings
         self.held_out_before: float | None = None
         self.epochs = 0
+        self.steps = 0
         self._random = torch.Generator()
-        self._noise = torch.Generator()
 
     def on_train_epoch_start(self) -> None:
-        """Seed everything random by the epoch: the checkpoint after an epoch is all that a killed training needs."""
+        """Count."""
         self.epochs = self.current_epoch + 1
-        seed = epoch_seed(self.settings.seed, self.current_epoch, self.global_rank)
-        torch.manual_seed(seed)  # for networks that draw themselves, such as dropout
-        self._random.manual_seed(seed)
-        self._noise = torch.Generator(self.device).manual_seed(seed)
+
+    def handed_over(self) -> dict[str, Any]:
+        """Return the figures that the module of a spawned process holds."""
+        return {"epochs": self.epochs, "steps": int(self.trainer.global_step)}
+
+    def take_over(self, figures: Mapping[str, Any]) -> None:
+        """Take over those figures."""
+        self.epochs, self.steps = figures["epochs"], figures["steps"]
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Keep the figures that a training that goes on would not find out again."""
@@ -106,17 +113,24 @@ class DepthPretraining(lightning.LightningModule):
 
     def training_step(self, batch: Triplets, batch_idx: int) -> Tensor:
         """Compute and log the loss of a batch."""
+        # Whatever is drawn in a step depends on its number alone, so that a training that was stopped can go on.
+        seed = step_seed(self.settings.seed, self.current_epoch, self.global_rank, batch_idx + 1)
+        torch.manual_seed(seed)  # for networks that draw themselves, such as dropout
+        self._random.manual_seed(seed)
+        noise = torch.Generator(batch.images.device).manual_seed(seed)
         seen = batch.images
         if self.settings.augment:
             batch, seen = augmented(batch, self._random)
-        values = self.loss(batch, seen, self._noise)
+        values = self.loss(batch, seen, noise)
         self._log("train", values, batch, prog_bar=True)
         return values["total"]
 
     def validation_step(self, batch: Triplets, batch_idx: int) -> None:
         """Log the loss of held-out triplets; the noise is the same every time."""
         noise = torch.Generator(batch.images.device).manual_seed(self.settings.seed + 1 + batch_idx)
-        self._log("held_out", self.loss(batch, batch.images, noise), batch, on_step=False, on_epoch=True)
+        self._log(
+            "held_out", self.loss(batch, batch.images, noise), batch, on_step=False, on_epoch=True, sync_dist=True
+        )
 
     def _log(self, split: str, values: Mapping[str, Tensor], batch: Triplets, **how: Any) -> None:
         named = {f"{split}/{name}": value.detach() for name, value in values.items()}
@@ -192,17 +206,22 @@ def pretrain(
         module = DepthPretraining(estimator, pose, settings)
         if settings.channels_last:
             module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        trainer = _trainer(settings, out, options, bool(bar), logger)
-        checkpoint = out / "checkpoint" / "last.ckpt"
-        if not checkpoint.is_file():
-            module.held_out_before = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
+        checkpoint = StepCheckpoint(out / "checkpoint", settings.checkpoint_minutes)
+        handover = Handover(out, module)
+        trainer = _trainer(settings, out, options, bool(bar), logger, [checkpoint, handover])
+        gauge = _trainer(settings, out, one_process(options), False, logger, [])
+        resumed = checkpoint.resumable()
+        if resumed is None:
+            module.held_out_before = gauge.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
         module.train()
-        trainer.fit(module, datamodule=data, ckpt_path=checkpoint if checkpoint.is_file() else None)
-        after = trainer.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
+        trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
+        module.steps = int(trainer.global_step)
+        handover.collect()
+        after = gauge.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
     estimator.train(was_training)
     shutil.rmtree(out / "checkpoint", ignore_errors=True)
     return {
-        "steps": int(trainer.global_step),
+        "steps": module.steps,
         "epochs": module.epochs,
         "train_samples": data.train_samples,
         "held_out_samples": data.held_out_samples,
@@ -230,13 +249,18 @@ def _decoded(
 
 
 def _trainer(
-    settings: PretrainingSettings, out: Path, options: dict[str, Any], bar: bool, logger: Any
+    settings: PretrainingSettings,
+    out: Path,
+    options: Mapping[str, Any],
+    bar: bool,
+    logger: Any,
+    callbacks: Many[Callback],
 ) -> lightning.Trainer:
-    """Make the trainer, with a checkpoint after every epoch so that a killed training goes on."""
-    callbacks: list[Callback] = [*options.pop("callbacks", [])]
-    callbacks.append(ModelCheckpoint(out / "checkpoint", filename="last", enable_version_counter=False))
+    """Make a trainer with the user's options."""
+    options = dict(options)
+    several: list[Callback] = [*options.pop("callbacks", []), *callbacks]
     if bar:
-        callbacks.append(RichProgressBar(leave=False))
+        several.append(RichProgressBar(leave=False))
     defaults: dict[str, Any] = {
         "accelerator": "cpu",
         "devices": 1,
@@ -244,12 +268,13 @@ def _trainer(
         "num_sanity_val_steps": 0,
         "log_every_n_steps": 10,
         "enable_model_summary": False,
+        "use_distributed_sampler": False,  # the samplers share out the samples themselves
     }
     return lightning.Trainer(
         **(defaults | options),
         max_epochs=settings.epochs,
         max_steps=settings.max_steps,
-        callbacks=callbacks,
+        callbacks=several,
         logger=logger if logger is not None else False,
         enable_progress_bar=bar,
     )

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
-import lightning
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, RandomSampler
+from torch.utils.data import DataLoader, Dataset
 
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
@@ -23,6 +21,7 @@ from prgbd.core.types import PinholeCamera
 from prgbd.training.images import decode_frames
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_data import split_held_out
+from prgbd.training.sampling import EpochSampler, ResumableData
 
 _MOTION_WIDTH = 64
 
@@ -122,33 +121,7 @@ class _TripletDataset(Dataset[Triplets]):
         return Triplets(torch.from_numpy(images), torch.from_numpy(source.camera.K).float())
 
 
-def epoch_seed(seed: int, epoch: int, rank: int = 0) -> int:
-    """Mix the seed of a run with the number of an epoch (and of a process), so that an epoch draws the same alone."""
-    return int(np.random.SeedSequence([seed, epoch, rank]).generate_state(1, np.uint64)[0])
-
-
-class EpochSampler(RandomSampler):
-    """A shuffle that the seed and the epoch alone decide, so that a training that goes on shuffles as it would have.
-
-    Args:
-        samples: What is shuffled.
-        seed: Of the run.
-    """
-
-    def __init__(self, samples: Dataset[Triplets], seed: int) -> None:
-        super().__init__(samples, generator=torch.Generator())  # type: ignore[arg-type]
-        self._seed, self._epoch = seed, 0
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch; Lightning calls it before every epoch."""
-        self._epoch = epoch
-
-    def __iter__(self) -> Iterator[int]:
-        self.generator.manual_seed(epoch_seed(self._seed, self._epoch))
-        return super().__iter__()
-
-
-class PretrainingData(lightning.LightningDataModule):
+class PretrainingData(ResumableData):
     """The triplets of several recordings, split into training and held-out ones.
 
     Args:
@@ -178,7 +151,7 @@ class PretrainingData(lightning.LightningDataModule):
         workers = self._settings.workers
         return DataLoader(
             samples,
-            batch_size=min(self._settings.batch_size, len(samples)),
+            batch_size=self._batch_size(samples),
             sampler=sampler,
             # A last batch of one or two would spoil the statistics of batch normalisation.
             drop_last=sampler is not None,
@@ -188,10 +161,15 @@ class PretrainingData(lightning.LightningDataModule):
             persistent_workers=workers > 0,
         )
 
+    def _batch_size(self, samples: _TripletDataset) -> int:
+        processes = 1 if self.trainer is None else self.trainer.world_size
+        return min(self._settings.batch_size, -(-len(samples) // processes))
+
     def train_dataloader(self) -> DataLoader[Triplets]:
         """Shuffled by the seed, in every epoch otherwise."""
-        return self._loader(self._train, EpochSampler(self._train, self._settings.seed))
+        batch_size = self._batch_size(self._train)
+        return self._loader(self._train, self.sampler(len(self._train), self._settings.seed, batch_size))
 
     def val_dataloader(self) -> DataLoader[Triplets]:
-        """The held-out triplets in order."""
+        """The held-out triplets in order, all of them in every process."""
         return self._loader(self._held_out, None)

@@ -27,6 +27,8 @@ class PretrainingSettings:
         memory_mb: Decoded images beyond this lie in a file that goes at the end.
         channels_last: Memory layout that convolutions are faster in on most processors.
         val_fraction: Part of the triplets that is held out to watch the loss.
+        checkpoint_minutes: A training that is stopped goes on from at most this many minutes before, or from the last
+            end of an epoch; 0 saves its state after every step.
         seed: Of shuffling and augmentation.
 
     Raises:
@@ -47,13 +49,14 @@ class PretrainingSettings:
     memory_mb: int = 1024
     channels_last: bool = False
     val_fraction: float = 0.05
+    checkpoint_minutes: float = 5.0
     seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("epochs", "batch_size", "learning_rate", "lr_step_epoch", "frame_gap"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be positive.")
-        for name in ("smoothness", "min_motion", "workers", "memory_mb"):
+        for name in ("smoothness", "min_motion", "workers", "memory_mb", "checkpoint_minutes"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be 0 or positive.")
         if self.max_steps < -1 or self.max_steps == 0:

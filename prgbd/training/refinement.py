@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import shutil
 import sys
@@ -17,13 +18,14 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar
+from lightning.pytorch.callbacks import Callback, RichProgressBar
 from lightning.pytorch.utilities.seed import isolate_rng
 
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
+from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
@@ -83,14 +85,16 @@ def refine(
 ) -> RefinementOutcome:
     """Fine-tune a depth network on what SLAM found out about one or several sequences.
 
-    The network is trained in place. Nothing is read from ``out``, so a refinement that was killed simply starts again.
-    Same seed, same machine, same result; the caller's random state is left alone.
+    The network is trained in place. A refinement that was killed goes on from the checkpoint that it left in ``out``,
+    if it started from the same weights, supervision and options. Same seed, same machine, same result, killed or not;
+    the caller's random state is left alone.
 
     Args:
         estimator: The network.
         supervised: Recordings and what SLAM made of them.
         settings: All options of the refinement.
-        out: Folder for images that do not fit into memory, and for the checkpoint if there is to be one.
+        out: Folder for images that do not fit into memory, and for the checkpoint that a killed refinement goes on
+            from.
         trainer_options: Options of ``lightning.Trainer`` (accelerator, devices, precision, ...).
         logger: A Lightning logger, or several.
 
@@ -109,7 +113,8 @@ def refine(
     with _decoded(estimator, supervised, supervisions, settings, out) as sources, quiet_lightning(), isolate_rng():
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         data = RefinementData(sources, settings)
-        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer_options or {}, logger)
+        key = _key(estimator, settings, sources)
+        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer_options or {}, logger, key)
     estimator.train(was_training)
     held_out = [row for row in rows if row["split"] == "held_out"]
     return RefinementOutcome(
@@ -128,41 +133,68 @@ def refine(
 
 
 def _fit(
-    module: DepthRefinement, data: RefinementData, out: Path, trainer_options: Mapping[str, Any], logger: Any
+    module: DepthRefinement, data: RefinementData, out: Path, trainer_options: Mapping[str, Any], logger: Any, key: str
 ) -> list[dict[str, Any]]:
     """Measure the criterion, train, measure it again; return the rows of losses."""
-    rows = LossRows()
+    settings, rows = module.settings, LossRows()
+    checkpoint = StepCheckpoint(out / "checkpoint", settings.checkpoint_minutes, epochs=settings.checkpoint, key=key)
+    handover = Handover(out, rows)
+    trainer = _trainer(settings, out, trainer_options, logger, [rows, checkpoint, handover])
+    gauge = _trainer(settings, out, one_process(trainer_options), logger, [rows])
+    resumed = checkpoint.resumable()
+    if resumed is None:
+        gauge.validate(module, datamodule=data, verbose=False)
+    module.train()  # Lightning trains in the mode that it finds
+    trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
+    handover.collect()
+    if rows.rows[-1]["split"] != "held_out":
+        last = rows.rows[-1]
+        gauge.validate(module, datamodule=data, verbose=False)
+        rows.rows[-1] |= {"epoch": last["epoch"], "step": last["step"]}
+    if not settings.checkpoint:
+        shutil.rmtree(out / "checkpoint", ignore_errors=True)
+    return rows.rows
+
+
+def _trainer(
+    settings: RefinementSettings, out: Path, trainer_options: Mapping[str, Any], logger: Any, callbacks: list[Callback]
+) -> lightning.Trainer:
+    """Make a trainer with the user's options."""
     options = dict(trainer_options)
-    progress = options.pop("enable_progress_bar", sys.stderr.isatty())
-    callbacks: list[Callback] = [*options.pop("callbacks", []), rows]
+    progress = bool(options.pop("enable_progress_bar", sys.stderr.isatty()))
+    several: list[Callback] = [*options.pop("callbacks", []), *callbacks]
     if progress:
-        callbacks.append(RichProgressBar(leave=False))
-    if module.settings.checkpoint:
-        folder = out / "checkpoint"
-        shutil.rmtree(folder, ignore_errors=True)
-        callbacks.append(ModelCheckpoint(folder, filename="last", save_top_k=1, enable_version_counter=False))
+        several.append(RichProgressBar(leave=False))
     defaults: dict[str, Any] = {
         "accelerator": "cpu",
         "devices": 1,
-        "max_epochs": module.settings.epochs,
+        "max_epochs": settings.epochs,
         "default_root_dir": out,
         "num_sanity_val_steps": 0,
         "log_every_n_steps": 1,
         "enable_model_summary": False,
+        "use_distributed_sampler": False,  # the sampler shares out the samples itself
     }
-    trainer = lightning.Trainer(
+    return lightning.Trainer(
         **(defaults | options),
-        callbacks=callbacks,
+        callbacks=several,
         logger=logger if logger is not None else False,
-        enable_checkpointing=module.settings.checkpoint,
-        enable_progress_bar=bool(progress),
+        enable_progress_bar=progress,
     )
-    trainer.validate(module, datamodule=data, verbose=False)
-    module.train()  # Lightning trains in the mode that it finds
-    trainer.fit(module, datamodule=data)
-    if rows.rows[-1]["split"] != "held_out":
-        trainer.validate(module, datamodule=data, verbose=False)
-    return rows.rows
+
+
+def _key(estimator: DepthEstimator, settings: RefinementSettings, sources: Many[SupervisedImages]) -> str:
+    """Say in one word what a refinement starts from: weights, supervision and the options that decide the result."""
+    digest = hashlib.sha256()
+    for name, value in estimator.state_dict().items():
+        digest.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    for source in sources:
+        digest.update(f"{source.name} {source.scale!r} {len(source.supervision.samples)}".encode())
+        for sample in source.supervision.samples:
+            digest.update(sample.frames.tobytes() + sample.aTc.tobytes() + sample.depth.tobytes())
+    neutral = replace(settings, checkpoint=False, checkpoint_minutes=0.0, workers=0, memory_mb=0)
+    digest.update(repr(neutral).encode())
+    return digest.hexdigest()
 
 
 def _supervision(result: SlamResult, settings: RefinementSettings) -> Supervision:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import lightning
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from prgbd.core.errors import DataError
 from prgbd.core.types import PinholeCamera
 from prgbd.training.images import decode_frames
 from prgbd.training.refinement_settings import RefinementSettings
+from prgbd.training.sampling import EpochSampler, ResumableData
 from prgbd.training.supervision import KeyframeSample, Supervision
 
 
@@ -168,7 +168,7 @@ class _Samples(Dataset[RefinementBatch]):
         return self._sources[source].sample(sample)
 
 
-class RefinementData(lightning.LightningDataModule):
+class RefinementData(ResumableData):
     """The samples of several sequences, split into training and held-out keyframes.
 
     Args:
@@ -189,22 +189,24 @@ class RefinementData(lightning.LightningDataModule):
         self._held_out = _Samples(sources, [everything[i] for i in held_out])
         self.train_samples, self.held_out_samples = len(train), len(held_out)
 
-    def _loader(self, samples: _Samples, generator: torch.Generator | None) -> DataLoader[RefinementBatch]:
+    def _loader(self, samples: _Samples, sampler: EpochSampler | None) -> DataLoader[RefinementBatch]:
         workers = self._settings.workers
         return DataLoader(
             samples,
             batch_size=self._settings.batch_size,
-            shuffle=generator is not None,
-            generator=generator,
+            sampler=sampler,
             collate_fn=collate,
+            # Without one, making an iterator draws from the global generator.
+            generator=torch.Generator(),
             num_workers=workers,
             persistent_workers=workers > 0,
         )
 
     def train_dataloader(self) -> DataLoader[RefinementBatch]:
-        """Shuffled by the seed."""
-        return self._loader(self._train, torch.Generator().manual_seed(self._settings.seed))
+        """Shuffled by the seed, in every epoch otherwise."""
+        settings = self._settings
+        return self._loader(self._train, self.sampler(len(self._train), settings.seed, settings.batch_size))
 
     def val_dataloader(self) -> DataLoader[RefinementBatch]:
-        """The held-out keyframes in order."""
+        """The held-out keyframes in order, all of them in every process."""
         return self._loader(self._held_out, None)

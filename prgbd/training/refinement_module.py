@@ -17,6 +17,7 @@ from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
 from prgbd.training.refinement_data import RefinementBatch
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
+from prgbd.training.sampling import step_seed
 from prgbd.training.sparse_losses import depth_consistency, depth_transfer
 from prgbd.training.warping import invert_rigid
 
@@ -54,8 +55,7 @@ class DepthRefinement(lightning.LightningModule):
         super().__init__()
         self.estimator = estimator
         self.settings = settings
-        self._random = torch.Generator().manual_seed(settings.seed)
-        self._noise: torch.Generator | None = None
+        self._random = torch.Generator()
 
     def train(self, mode: bool = True) -> DepthRefinement:
         """Switch to training mode; batch normalisation stays in evaluation mode where that was asked for."""
@@ -143,12 +143,15 @@ class DepthRefinement(lightning.LightningModule):
 
     def training_step(self, batch: RefinementBatch, batch_idx: int) -> dict[str, Any]:
         """Compute and log the loss of a batch."""
-        if self._noise is None or self._noise.device != batch.images.device:
-            self._noise = torch.Generator(batch.images.device).manual_seed(self.settings.seed)
+        # Whatever is drawn in a step depends on its number alone, so that a training that was stopped can go on.
+        seed = step_seed(self.settings.seed, self.current_epoch, self.global_rank, batch_idx + 1)
+        torch.manual_seed(seed)  # for networks that draw themselves, such as dropout
+        self._random.manual_seed(seed)
+        noise = torch.Generator(batch.images.device).manual_seed(seed)
         seen = None
         if self.settings.augment:
             batch, seen = augmented(batch, self._random)
-        terms = self.terms(batch, self._noise, seen)
+        terms = self.terms(batch, noise, seen)
         total = self.total(terms)
         self._log("train", total, terms, batch, prog_bar=True)
         return {"loss": total, "terms": {name: value.detach() for name, value in terms.items()}}
@@ -157,7 +160,7 @@ class DepthRefinement(lightning.LightningModule):
         """Log the loss of held-out keyframes; the noise is the same every time."""
         noise = torch.Generator(batch.images.device).manual_seed(self.settings.seed + 1 + batch_idx)
         terms = self.terms(batch, noise)
-        self._log("held_out", self.total(terms), terms, batch, on_step=False, on_epoch=True)
+        self._log("held_out", self.total(terms), terms, batch, on_step=False, on_epoch=True, sync_dist=True)
 
     def _log(self, split: str, total: Tensor, terms: Mapping[str, Tensor], batch: RefinementBatch, **how: Any) -> None:
         values = {f"{split}/total": total} | {f"{split}/{name}": value for name, value in terms.items()}
@@ -188,6 +191,16 @@ class LossRows(Callback):
         """Keep the losses of a pass over the held-out keyframes."""
         values = {k.removeprefix("held_out/"): v for k, v in trainer.callback_metrics.items() if "held_out/" in k}
         self._add("held_out", trainer, values)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Keep the rows in the checkpoint."""
+        return {"rows": [dict(row) for row in self.rows]}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over the rows of a training that was stopped."""
+        self.rows = [dict(row) for row in state_dict["rows"]]
+
+    handed_over, take_over = state_dict, load_state_dict
 
     def _add(self, split: str, trainer: lightning.Trainer, values: Mapping[str, Any]) -> None:
         row: dict[str, Any] = {"split": split, "epoch": trainer.current_epoch, "step": trainer.global_step}

@@ -48,7 +48,9 @@ class RefinementSettings:
         frame_gap: How many frames away the temporally adjacent frames are.
         min_common_points: Points that a neighbouring keyframe should share with the current one.
         memory_mb: Decoded images beyond this lie in a file instead of memory.
-        checkpoint: Write a Lightning checkpoint after every epoch.
+        checkpoint: Keep the Lightning checkpoint of the last epoch.
+        checkpoint_minutes: A refinement that is stopped goes on from at most this many minutes before; 0 saves its
+            state after every step.
 
     Raises:
         ConfigError: If a value cannot work.
@@ -79,6 +81,7 @@ class RefinementSettings:
     min_common_points: int = 20
     memory_mb: int = 1024
     checkpoint: bool = False
+    checkpoint_minutes: float = 2.0
 
     def __post_init__(self) -> None:
         for name in TERMS:
@@ -90,8 +93,8 @@ class RefinementSettings:
         for name in (*positive, "keyframe_gap", "frame_gap"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be positive.")
-        for name in ("workers", "min_common_points", "memory_mb"):
-            if getattr(self, name) < 0:
+        for name in ("workers", "min_common_points", "memory_mb", "checkpoint_minutes"):
+            if not getattr(self, name) >= 0:
                 raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be 0 or positive.")
         if self.patch < 1 or self.patch % 2 == 0:
             raise ConfigError(f"training.patch is {self.patch}; the side of a patch must be an odd number of pixels.")

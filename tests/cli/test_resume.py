@@ -55,6 +55,37 @@ def test_killed_in_the_second_loop_and_resumed_ends_as_if_it_had_not_been(cli, m
     assert weights[0] == weights[1]
 
 
+MORTAL = ("+slam=test/sideways", "+depth=test/mortal", "data=test/wall", "data.frames=26")
+LOOPS = ("task.max_loops=2", "task.min_improvement=null")
+LEARNING = ("training.learning_rate=1e-2", "training.batch_size=1", "training.epochs=2", "training.augment=true")
+STEPS = 2 * 10  # 13 keyframes, 11 of them with neighbours, 1 of these held out
+
+
+@pytest.mark.parametrize("inside", [5, 11], ids=["in the midst of an epoch", "between epochs"])
+def test_killed_inside_the_second_refinement_and_resumed_ends_as_if_it_had_not_been(cli, monkeypatch, inside):
+    from tests.loop.fakes import Mortal
+
+    monkeypatch.setattr(Mortal, "trained_in_process", -1000)
+    shared = (*MORTAL, *LOOPS, *LEARNING, "training.checkpoint_minutes=0", f"depth.die_at={STEPS + inside}")
+    killed_run(*shared, "out=killed")
+    assert Path("killed/steps/loops/00/refine.json").is_file()
+    assert Path("killed/loops/01/training/checkpoint/last.ckpt").is_file()
+    assert not Path("killed/steps/loops/01/refine.json").exists()
+
+    answer = cli("resume=killed")
+    assert answer.code == 0, answer.err
+    assert f"goes on at step {inside} of {STEPS}" in answer.out
+    assert cli(*shared, "out=whole").code == 0
+    summaries = [json.loads(Path(f"{run}/summary.json").read_text()) for run in ("killed", "whole")]
+    assert without_times(summaries[0]) == without_times(summaries[1])
+    assert summaries[0]["loops"][2]["pose"]["wall"]["tracked_frames"] == 26
+    for name in ("weights/model.pth", "loops/01/weights/model.pth", "loops/01/training/losses.csv"):
+        assert Path("killed", name).read_bytes() == Path("whole", name).read_bytes()
+    steps = [line.split(",")[0] for line in Path("killed/loops/01/training/losses.csv").read_text().splitlines()]
+    assert steps == ["step", *map(str, range(1, STEPS + 1))]
+    assert not Path("killed/loops/01/training/checkpoint").exists()
+
+
 @pytest.mark.parametrize("step", ["sense", "slam", "depth", "refine", "best_weights"])
 def test_stopped_after_any_step_and_resumed(run, cli, monkeypatch, step):
     """Every step but the last finished ones is repeated, and the result stays the same."""

@@ -138,6 +138,25 @@ class NanDepth(Tiny):
         return depth
 
 
+class Mortal(Tiny):
+    """Kills the process, as a power cut would, in a training step: the ``die_at``-th that the process makes."""
+
+    trained_in_process = 0
+
+    def __init__(self, weights: str | None = None, die_at: int | None = None) -> None:
+        super().__init__(weights)
+        self.die_at = die_at
+        self.dropout = nn.Dropout(0.1)
+
+    def forward(self, images):
+        if self.training:
+            Mortal.trained_in_process += 1
+            if Mortal.trained_in_process == self.die_at:
+                os.kill(os.getpid(), signal.SIGKILL)
+        prediction = super().forward(images)
+        return DepthPrediction((prediction.depth * self.dropout(torch.ones(1)).clamp(0.9, 1.2),))
+
+
 class WrongShape(Tiny):
     """Forgets the dimension of the channels."""
 
@@ -233,5 +252,6 @@ def register() -> None:
         ("zero", "ZeroDepth"),
         ("flat", "WrongShape"),
         ("fussy", "Fussy"),
+        ("mortal", "Mortal"),
     ):
         register_depth(f"test/{name}", f"{home}:{cls}", override=True)

@@ -14,8 +14,9 @@ from torch import nn
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.types import DepthPrediction
 from prgbd.training.pretraining import DepthPretraining, pretrain
-from prgbd.training.pretraining_data import EpochSampler, PretrainingData, Triplets, decode
+from prgbd.training.pretraining_data import PretrainingData, Triplets, decode
 from prgbd.training.pretraining_settings import PretrainingSettings
+from prgbd.training.sampling import EpochSampler
 from prgbd.training.warping import transformation_from_parameters
 
 from .scenes import WallSequence
@@ -216,7 +217,7 @@ def test_killed_training_does_not_repeat_finished_epochs(tmp_path):
 
 
 def test_every_epoch_shuffles_by_its_number_alone():
-    sampler, other = EpochSampler(range(20), seed=4), EpochSampler(range(20), seed=4)
+    sampler, other = EpochSampler(20, seed=4), EpochSampler(20, seed=4)
     orders = []
     for epoch in (0, 1, 2):
         sampler.set_epoch(epoch)

@@ -38,12 +38,13 @@ def _train(job: Job, weight_options: dict[str, bool]) -> dict[str, Any]:
     folder = job.store.path("training")
     make_logger = settings.logger_maker(job.config)
     with interruptible(), job.display.stage("Pre-training", total) as progress:
+        callbacks = [TrainingProgress(progress, job.display.say)]
         figures = pretrain(
             estimator.to(settings.device(job.config)),
             sequences,
             options,
             folder,
-            {**job.config["trainer"], "callbacks": [TrainingProgress(progress)], "enable_progress_bar": False},
+            {**job.config["trainer"], "callbacks": callbacks, "enable_progress_bar": False},
             make_logger(folder) if make_logger is not None else None,
         )
     with job.store.new_folder(job.store.path("weights")) as weights:
