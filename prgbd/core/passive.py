@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, ContractError, PrgbdError
-from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult
+from prgbd.core.slam import GeometricSLAM, Listener, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.core.validation import (
     check_depth_map,
@@ -140,6 +140,10 @@ class CheckedSLAM(GeometricSLAM):
     def load_map(self, path: Path | str) -> None:
         """See ``GeometricSLAM.load_map``."""
         self.unwrapped.load_map(path)
+
+    def listen(self, listener: Listener | None) -> None:
+        """See ``GeometricSLAM.listen``."""
+        self.unwrapped.listen(listener)
 
     def view(self) -> SlamView | None:
         """See ``GeometricSLAM.view``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -35,6 +35,11 @@ class TrackingState(StrEnum):
     OK = "ok"
     LOST = "lost"
     COLLECTED = "collected"  # an offline system has stored the frame and decides in ``finish``
+    INTERPOLATED = "interpolated"  # its pose was put between those of its neighbours; the image says nothing of it
+
+
+Listener = Callable[[str, int, int], None]
+"""Called with what a system is doing, how many units of it are done, and how many there are."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,9 @@ class GeometricSLAM(ABC):
     @abstractmethod
     def finish(self) -> SlamResult:
         """End the sequence and return all that was found; a map-wide optimisation may run here."""
+
+    def listen(self, listener: Listener | None) -> None:  # noqa: B027 - optional to override
+        """Tell ``listener`` of work that takes more than a moment, in ``finish`` above all; optional."""
 
     def view(self) -> SlamView | None:
         """Return copies of what is known now, between two calls of ``track``; None if the system does not tell."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from prgbd.core.errors import DataError
 from prgbd.core.slam import GeometricSLAM, TrackingState
 from prgbd.core.types import Frame, SlamResult
 from prgbd.evaluation.trajectory import evaluate_trajectory
-from prgbd.loop.monitor import Monitor, SilentMonitor
+from prgbd.loop.monitor import Monitor, Progress, SilentMonitor
 from prgbd.loop.sensing import DepthStatistics
 from prgbd.loop.viewing import SilentViewer, SlamViewer
 
@@ -120,8 +121,9 @@ def run_slam(
     with (
         viewer or SilentViewer() as watching,
         make_slam() as system,
-        monitor.stage(f"SLAM on {sequence.name}", len(sequence)) as progress,
+        _Stages(monitor, sequence.name) as stages,
     ):
+        progress = stages.enter("SLAM", len(sequence))
         # A system without a mode of its own for pseudo depth takes it as a sensor's.
         mode = "rgbd" if given.mode == "pseudo_rgbd" and given.mode not in system.modes else given.mode
         system.reset(sequence.camera, mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
@@ -138,8 +140,10 @@ def run_slam(
             counts = {"keyframes": keyframes} | {k: tracked.info[k] for k in SHOWN if k in tracked.info}
             progress.advance(state=tracked.state.value, **counts)
         progress.advance(0, state="finishing")
+        system.listen(stages.tell)
         begin = time.perf_counter()
         result = system.finish()
+        system.listen(None)
         seconds += time.perf_counter() - begin
         watching.finished(result)
         if save_map is not None:
@@ -153,6 +157,44 @@ def run_slam(
     if given.statistics is not None:
         noted["pseudo_depth"] = given.statistics.diagnostics()
     return replace(result, stats={**result.stats, **noted})
+
+
+class _Stages:
+    """The stages of one SLAM run, one after the other: the frames, then what the system tells of its ``finish``."""
+
+    def __init__(self, monitor: Monitor, name: str) -> None:
+        self._monitor, self._name = monitor, name
+        self._open: contextlib.AbstractContextManager[Progress] | None = None
+        self._progress: Progress | None = None
+        self._what, self._done = "", 0
+
+    def enter(self, what: str, total: int) -> Progress:
+        """Close the stage before and open one."""
+        self.close()
+        self._open = self._monitor.stage(f"{what} on {self._name}", total)
+        self._progress = self._open.__enter__()
+        self._what, self._done = what, 0
+        return self._progress
+
+    def tell(self, what: str, done: int, total: int) -> None:
+        """A ``Listener`` that shows each thing as a stage."""
+        if what != self._what or self._progress is None:
+            self.enter(what, total)
+        assert self._progress is not None
+        self._progress.advance(max(0, done - self._done))
+        self._done = max(self._done, done)
+
+    def close(self, *problem: Any) -> None:
+        """Close the stage that is open."""
+        if self._open is not None:
+            opened, self._open, self._progress = self._open, None, None
+            opened.__exit__(*(problem or (None, None, None)))
+
+    def __enter__(self) -> _Stages:
+        return self
+
+    def __exit__(self, *problem: Any) -> None:
+        self.close(*problem)
 
 
 def _require_save_map(system: GeometricSLAM, path: Path) -> None:

@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 
 INK, MUTED, GRID = "#010203", "#6e7072", "#d9dadb"
 LOOP_COLOURS = ("#e0783a", "#c2528b", "#7a5fd0", "#2f7fc8", "#12998b")
-STATE_COLOURS = {"ok": "#3aa675", "lost": "#d1495b", "not_initialized": "#aab0bb", "collected": "#7aa6d8"}
+STATE_COLOURS = {
+    "ok": "#3aa675",
+    "interpolated": "#e0a73c",
+    "lost": "#d1495b",
+    "not_initialized": "#aab0bb",
+    "collected": "#7aa6d8",
+}
 WIDTH = 5.2  # inches; small enough that labels stay readable on a phone
 MOST_POINTS = 1500  # per line; more cannot be seen and only makes the file large
 

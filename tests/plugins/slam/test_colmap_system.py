@@ -1,5 +1,8 @@
 """``slam=colmap``: offline structure from motion on small made-up recordings."""
 
+from types import SimpleNamespace
+
+import cv2
 import numpy as np
 import pytest
 
@@ -11,13 +14,15 @@ from prgbd.core.types import Frame, PinholeCamera
 from prgbd.evaluation.trajectory import evaluate_trajectory
 from prgbd.plugins.slam.colmap import ColmapSLAM
 from prgbd.plugins.slam.colmap.completion import interpolate
+from prgbd.plugins.slam.colmap.reconstruction import image_name, pairs_in_order
+from prgbd.plugins.slam.colmap.system import _say_what_is_left_out
 from tests.contracts import SlamContract
 
 
 class TestContract(SlamContract):
     @pytest.fixture
     def system(self):
-        return ColmapSLAM(every=1, threads=1, init_min_tri_angle=1.0)
+        return ColmapSLAM()  # with its defaults, threads among them
 
 
 @pytest.fixture(scope="module")
@@ -25,23 +30,31 @@ def world():
     return prgbd.make_data("synthetic", sequence="indoor-0", frames=24, width=320, height=240)
 
 
-def reconstructed(world, mode, **options):
+def reconstructed(world, mode, blank=(), told=None, **options):
     with prgbd.make_slam("colmap", every=2, threads=1, **options) as system:
         system.reset(world.camera, mode, baseline=None if mode == "mono" else 0.08, fps=world.fps)
+        system.listen(told)
         for i in range(len(world)):
             frame = world.frame(i)
+            if i in blank:
+                frame = Frame(i, frame.timestamp, np.zeros_like(frame.image))
             system.track(frame.with_depth(world.depth(i) if mode == "rgbd" else None))
         return system.finish()
 
 
-def test_depth_fixes_the_scale_and_frames_between_are_marked(world):
-    result = reconstructed(world, "rgbd")
+@pytest.fixture(scope="module")
+def measured(world):
+    """A reconstruction with depth, a frame of which is black, and what it told of its work."""
+    calls = []
+    result = reconstructed(world, "rgbd", blank=(9,), told=lambda *call: calls.append(call))
+    return result, calls
+
+
+def test_depth_fixes_the_scale(world, measured):
+    result, _ = measured
     figures = evaluate_trajectory(result.trajectory, len(world), world.poses, world.timestamps, alignment="se3")
-    assert result.tracked_frames >= 0.9 * len(world)
+    assert result.tracked_frames == len(world)
     assert figures["ate_rmse"] < 0.02
-    between = result.stats["interpolated_frames"]
-    assert len(between) > 5
-    assert set(between).isdisjoint(result.keyframes.frame_index.tolist())
     seen = result.camera.project(
         np.einsum(
             "mij,mj->mi",
@@ -52,10 +65,56 @@ def test_depth_fixes_the_scale_and_frames_between_are_marked(world):
     assert np.median(np.linalg.norm(seen - result.observations.uv, axis=1)) < 1.0
 
 
+def test_frames_between_are_located_and_what_cannot_be_is_interpolated_and_marked(world, measured):
+    result, _ = measured
+    keyframes = result.keyframes.frame_index.tolist()
+    between = sorted({*range(len(world))} - {*keyframes, 9})
+    assert result.stats["located_frames"] == len(between) >= 10
+    assert result.stats["interpolated_frames"] == [9]
+    assert {result.states[i] for i in (*keyframes, *between)} == {"ok"}
+    assert (result.states[9], result.inliers[9]) == ("interpolated", 0)
+    assert result.inliers[between].min() >= 20
+    # Located one by one: as near to their neighbours' truth as these are, not merely on the line between them.
+    wTc, true = result.trajectory.wTc, world.poses
+    for i in between:
+        step, truth = np.linalg.inv(wTc[i - 1]) @ wTc[i], np.linalg.inv(true[i - 1]) @ true[i]
+        assert np.linalg.norm(step[:3, 3] - truth[:3, 3]) < 0.01
+
+
+def test_its_work_is_told_of(measured):
+    _, calls = measured
+    last = {what: (done, total) for what, done, total in calls}
+    assert list(last) == ["COLMAP features", "COLMAP matches", "COLMAP mapping", "Locating frames"]
+    assert all(done == total > 0 for done, total in last.values())
+
+
 def test_an_unknown_camera_is_estimated(world):
     result = reconstructed(world, "mono", intrinsics="unknown")
     assert result.camera.fx == pytest.approx(world.camera.fx, rel=0.1)
     assert result.stats["camera"]["fx"] == result.camera.fx
+
+
+def test_several_models_are_said(caplog):
+    part = SimpleNamespace(sizes=[12, 5, 3])
+    _say_what_is_left_out(part, 24)
+    assert "3 unconnected models of 12, 5, 3 images" in caplog.text
+
+
+def test_images_are_paired_as_colmap_does(tmp_path):
+    import pycolmap
+
+    world = prgbd.make_data("synthetic", sequence="indoor-0", frames=2, width=96, height=64)
+    (tmp_path / "images").mkdir()
+    names = [image_name(i) for i in range(9)]
+    for name in names:
+        cv2.imwrite(str(tmp_path / "images" / name), world.frame(0).image)
+    database = pycolmap.Database.open(tmp_path / "database.db")
+    pycolmap.import_images(tmp_path / "database.db", tmp_path / "images", pycolmap.CameraMode.SINGLE, names)
+    options = pycolmap.SequentialPairingOptions()
+    options.overlap, options.quadratic_overlap = 3, True
+    theirs = pycolmap.SequentialPairGenerator(options, database).all_pairs()
+    database.close()
+    assert sorted((min(pair) - 1, max(pair) - 1) for pair in theirs) == pairs_in_order(9, 3)
 
 
 def test_nothing_registered_is_one_sentence():

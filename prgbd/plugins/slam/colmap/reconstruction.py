@@ -1,7 +1,8 @@
-"""What COLMAP is asked to do: features, sequential matches, incremental mapping; and its model as columns."""
+"""What COLMAP is asked to do: features, matches in frame order, incremental mapping; and its model as columns."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,11 @@ from prgbd.core.types import PinholeCamera
 
 CENTRE = 0.5
 """COLMAP's pixel centres lie at half-integers, prgbd's at integers."""
+IMAGES_AT_ONCE = 8
+"""Images that COLMAP is given in one call: it tells nothing before it has done them all."""
+
+Tell = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and how much there is to do."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class Model:
         uv: (M, 2) float32 undistorted pixel, integers at pixel centres.
         raw_uv: (M, 2) float32 pixel in the image as it was given.
         sizes: Numbers of registered frames of all models, largest first; this one is the first.
-        distortion: Coefficients that COLMAP estimated or was given, in the order of its camera model.
+        lens: COLMAP's camera with the distortion that it estimated or was given.
     """
 
     camera: PinholeCamera
@@ -59,7 +65,12 @@ class Model:
     uv: NDArray[np.float32]
     raw_uv: NDArray[np.float32]
     sizes: list[int]
-    distortion: list[float]
+    lens: Any
+
+    @property
+    def distortion(self) -> list[float]:
+        """Coefficients of the distortion in the order of COLMAP's camera model."""
+        return [float(self.lens.params[i]) for i in self.lens.extra_params_idxs()]
 
 
 def image_name(index: int) -> str:
@@ -67,13 +78,17 @@ def image_name(index: int) -> str:
     return f"{index:08d}.png"
 
 
-def reconstruct(folder: Path, camera: PinholeCamera, settings: ColmapSettings) -> Model:
-    """Run COLMAP on ``folder/images`` and return the largest model.
+def reconstruct(
+    folder: Path, positions: list[int], camera: PinholeCamera, settings: ColmapSettings, tell: Tell
+) -> Model:
+    """Run COLMAP on some images of ``folder/images`` and return the largest model.
 
     Args:
         folder: Folder with ``images``; the database and the models are written beside them.
+        positions: The frames to use, ascending.
         camera: The camera, used as ``settings.intrinsics`` says.
         settings: What was chosen.
+        tell: Told of the progress.
 
     Raises:
         SlamError: If COLMAP finds no model.
@@ -82,34 +97,47 @@ def reconstruct(folder: Path, camera: PinholeCamera, settings: ColmapSettings) -
     pycolmap.set_random_seed(settings.seed)
     database, images, models = folder / "database.db", folder / "images", folder / "models"
     models.mkdir()
-    _extract(database, images, camera, settings)
-    _match(database, settings)
-    found = pycolmap.incremental_mapping(database, images, models, options=_mapping_options(settings))
+    names = [image_name(position) for position in positions]
+    _extract(database, images, names, camera, settings, tell)
+    _match(database, names, settings, tell)
+    found = _map(database, images, models, len(names), settings, tell)
     ranked = sorted(found.values(), key=lambda model: -model.num_reg_images())
     if not ranked:
-        count = len(list(images.iterdir()))
         raise SlamError(
-            f"COLMAP could not register any of {count} keyframes; give frames that move sideways past textured things, "
-            "or set slam.every lower."
+            f"COLMAP could not register any of {len(names)} keyframes; give frames that move sideways past textured "
+            "things, or set slam.every lower."
         )
     return _columns(ranked[0], camera, [int(model.num_reg_images()) for model in ranked])
 
 
-def _extract(database: Path, images: Path, camera: PinholeCamera, settings: ColmapSettings) -> None:
+def _extract(
+    database: Path, images: Path, names: list[str], camera: PinholeCamera, settings: ColmapSettings, tell: Tell
+) -> None:
     reader = pycolmap.ImageReaderOptions()
     if settings.intrinsics == "unknown":
         reader.camera_model = "SIMPLE_RADIAL"
     else:
         reader.camera_model, parameters = _camera_model(camera)
         reader.camera_params = ",".join(repr(float(value)) for value in parameters)
+    pycolmap.Database.open(database).close()
+    # Numbered here, in order: threads that extract features would number images as they finish.
+    pycolmap.import_images(database, images, pycolmap.CameraMode.SINGLE, names, reader)
+    reader.existing_camera_id = 1  # all images share one camera
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu = settings.threads, False
     options.sift.max_num_features = settings.features
-    mode = pycolmap.CameraMode.SINGLE
-    device = pycolmap.Device.cpu
-    pycolmap.extract_features(
-        database, images, camera_mode=mode, reader_options=reader, extraction_options=options, device=device
-    )
+    for begin in range(0, len(names), IMAGES_AT_ONCE):
+        tell("COLMAP features", begin, len(names))
+        pycolmap.extract_features(
+            database,
+            images,
+            image_names=names[begin : begin + IMAGES_AT_ONCE],
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            reader_options=reader,
+            extraction_options=options,
+            device=pycolmap.Device.cpu,
+        )
+    tell("COLMAP features", len(names), len(names))
 
 
 def _camera_model(camera: PinholeCamera) -> tuple[str, list[float]]:
@@ -120,20 +148,60 @@ def _camera_model(camera: PinholeCamera) -> tuple[str, list[float]]:
     return "FULL_OPENCV", [*pinhole, *k, 0.0, 0.0, 0.0]
 
 
-def _match(database: Path, settings: ColmapSettings) -> None:
+def pairs_in_order(count: int, overlap: int) -> list[tuple[int, int]]:
+    """Return the pairs of images to match: each with those 1, 2, 4, 8, ... further on, ``overlap`` of them.
+
+    These are COLMAP's own sequential pairs with quadratic overlap, (first, second) with first < second, in order.
+    """
+    distances = [2**power for power in range(min(overlap, 30))]
+    return [(first, first + d) for first in range(count) for d in distances if first + d < count]
+
+
+def _match(database: Path, names: list[str], settings: ColmapSettings, tell: Tell) -> None:
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads, matching.use_gpu = settings.threads, False
-    pairing = pycolmap.SequentialPairingOptions()
-    pairing.overlap, pairing.quadratic_overlap, pairing.loop_detection = settings.overlap, True, False
-    pairing.num_threads = settings.threads
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = settings.seed
-    pycolmap.match_sequential(
-        database,
-        matching_options=matching,
-        pairing_options=pairing,
-        verification_options=verification,
-        device=pycolmap.Device.cpu,
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = str(database.with_name("pairs.txt"))
+    pairs = pairs_in_order(len(names), settings.overlap)
+    at_once = IMAGES_AT_ONCE * settings.overlap
+    for begin in range(0, len(pairs), at_once):
+        tell("COLMAP matches", begin, len(pairs))
+        lines = [f"{names[a]} {names[b]}\n" for a, b in pairs[begin : begin + at_once]]
+        Path(pairing.match_list_path).write_text("".join(lines), encoding="utf-8")
+        pycolmap.match_image_pairs(
+            database,
+            matching_options=matching,
+            pairing_options=pairing,
+            verification_options=verification,
+            device=pycolmap.Device.cpu,
+        )
+    tell("COLMAP matches", len(pairs), len(pairs))
+
+
+def _map(
+    database: Path, images: Path, models: Path, count: int, settings: ColmapSettings, tell: Tell
+) -> dict[int, pycolmap.Reconstruction]:
+    """Register image after image, with local and global bundle adjustments between them."""
+    registered = 0
+
+    def advance(more: int) -> None:
+        nonlocal registered
+        # A model that is begun anew registers images again.
+        registered = min(registered + more, count)
+        tell("COLMAP mapping", registered, count)
+
+    tell("COLMAP mapping", 0, count)
+    return dict(
+        pycolmap.incremental_mapping(
+            database,
+            images,
+            models,
+            options=_mapping_options(settings),
+            initial_image_pair_callback=lambda: advance(2),
+            next_image_callback=lambda: advance(1),
+        )
     )
 
 
@@ -188,5 +256,5 @@ def _columns(model: pycolmap.Reconstruction, given: PinholeCamera, sizes: list[i
         uv=(rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)).astype(np.float32),
         raw_uv=(pixels - CENTRE).astype(np.float32),
         sizes=sizes,
-        distortion=[float(lens.params[i]) for i in lens.extra_params_idxs()],
+        lens=pycolmap.Camera(lens.todict()),  # its own copy: the model is freed
     )
