@@ -1,4 +1,7 @@
-"""``python -m prgbd.data prepare NAME [FOLDER]``: what to download and from where, and what of it lies in a folder."""
+"""``python -m prgbd.data prepare NAME [FOLDER]``: what to download and from where, and what of it lies in a folder.
+
+``python -m prgbd.data calibrate VIDEO``: the camera of a video or a folder of images, estimated by COLMAP.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from pathlib import Path
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.core.files import atomic_path
 from prgbd.core.registry import REGISTRY
 
 
@@ -99,7 +103,7 @@ GUIDES = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print the guide of a data set and look at a folder.
+    """Print the guide of a data set and look at a folder, or calibrate a recording.
 
     Args:
         argv: Arguments; ``sys.argv`` when None.
@@ -108,11 +112,14 @@ def main(argv: list[str] | None = None) -> int:
         The exit code: 0, 1 if something that is needed is missing, 2 for a wrong argument.
     """
     parser = argparse.ArgumentParser(prog="python -m prgbd.data", description=__doc__)
-    parser.add_argument("what", choices=("prepare",))
-    parser.add_argument("name", help=f"of the data set: {', '.join(GUIDES)}")
-    parser.add_argument("folder", nargs="?", help="where it lies, as in data.root=FOLDER")
+    parser.add_argument("what", choices=("prepare", "calibrate"))
+    parser.add_argument("name", help=f"a data set ({', '.join(GUIDES)}), or the video or folder of images to calibrate")
+    parser.add_argument("folder", nargs="?", help="prepare: where it lies, as in data.root=FOLDER")
+    parser.add_argument("--out", metavar="FILE", help="calibrate: the camera file; by default beside the recording")
     arguments = parser.parse_args(argv)
     try:
+        if arguments.what == "calibrate":
+            return _calibrate(Path(arguments.name).expanduser(), arguments.out)
         guide = _guide(arguments.name)
         for line in _described(arguments.name, guide):
             print(line)
@@ -123,6 +130,33 @@ def main(argv: list[str] | None = None) -> int:
     except PrgbdError as error:
         print(f"prgbd: {error}", file=sys.stderr)
         return 2
+
+
+def _calibrate(recording: Path, out: str | None) -> int:
+    """Estimate the camera of a video or a folder of images and write it where ``data=video`` or ``images`` look."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from prgbd.core.calibration import estimate_camera
+
+    kind = "images" if recording.is_dir() else "video"
+    beside = recording / "camera.yaml" if kind == "images" else recording.with_suffix(".camera.yaml")
+    file = beside if out is None else Path(out)
+    # Any field of view does: images come out as they are.
+    sequence: Sequence = REGISTRY.make("data", kind, root=str(recording), fov=60.0)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("Looking at the motion", total=None)
+        estimate = estimate_camera(
+            lambda index: sequence.frame(index).image,
+            len(sequence),
+            str(recording),
+            lambda what, done, total: progress.update(task, description=what, completed=done, total=total),
+        )
+    with atomic_path(file) as temporary:
+        temporary.write_text(estimate.to_yaml(recording.name), encoding="utf-8")
+    print(f"{recording}: {estimate.words()}")
+    print(f"Written to {file}" + (f"; data={kind} takes it by itself." if file == beside else f"; data.camera={file}"))
+    return 0
 
 
 def _guide(name: str) -> Guide:

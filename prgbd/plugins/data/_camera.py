@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import logging
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,67 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.calibration import can_estimate, estimate_camera
+from prgbd.core.errors import ConfigError, DataError, SlamError
 from prgbd.core.types import PinholeCamera
+
+log = logging.getLogger("prgbd")
 
 INTRINSICS = ("fx", "fy", "cx", "cy")
 KEYS = ("width", "height", *INTRINSICS, "distortion", "fov_degrees")
+
+
+def known_or_estimated(
+    camera: str | Path | Mapping[str, Any] | None,
+    fov: float | None,
+    beside: Path,
+    where: Path,
+    image: Callable[[int], NDArray[np.uint8]],
+    count: Callable[[], int],
+) -> PinholeCamera:
+    """Return the camera of a recording from what the user gave, from a file beside it, or from its images.
+
+    What COLMAP estimates is kept in the file beside the recording, so that it is done once.
+
+    Args:
+        camera: As for ``make_camera``.
+        fov: As for ``make_camera``.
+        beside: The camera file that is taken where neither is given.
+        where: The recording, for messages.
+        image: Returns an image of the recording, (H, W, 3) uint8 RGB.
+        count: Returns the number of images.
+
+    Raises:
+        ConfigError: If nothing is known of the camera and it cannot be estimated; the message names the three mends.
+        DataError: If the YAML is absent, malformed, or made for images of another size.
+    """
+    height, width = image(0).shape[:2]
+    if camera is None and fov is None and beside.is_file():
+        camera = beside
+    if camera is not None or fov is not None:
+        return make_camera(camera, fov, width, height, where)
+    mends = (
+        "set data.fov to the horizontal field of view in degrees, or data.camera to a YAML file (camera: width, "
+        "height, fx, fy, cx, cy, distortion)"
+    )
+    if not can_estimate():
+        raise ConfigError(
+            f"The camera of {where} is not known; {mends}, or pip install 'prgbd[colmap]', which estimates it from the "
+            "images."
+        )
+    log.warning("The camera of %s is not known: COLMAP estimates it from the images, which takes minutes.", where)
+    try:
+        estimate = estimate_camera(image, count(), str(where))
+    except SlamError:
+        raise ConfigError(
+            f"The camera of {where} is not known, and its images do not tell; {mends}, or choose a part where the "
+            "camera moves sideways past textured things (data.start, data.stop)."
+        ) from None
+    with contextlib.suppress(OSError):  # a folder that may not be written
+        beside.write_text(estimate.to_yaml(where.name), encoding="utf-8")
+    kept = f"kept in {beside}" if beside.is_file() else f"{beside} could not be written"
+    log.warning("Estimated %s; %s.", estimate.words(), kept)
+    return estimate.camera
 
 
 def make_camera(

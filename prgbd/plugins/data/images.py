@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.plugins.data._camera import make_camera
+from prgbd.plugins.data._camera import known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES, list_images, read_image, safe_name
 from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root
 
@@ -21,7 +21,7 @@ class ImagesSequence(FileSequence):
         root: The folder of the images, or a folder with several such folders.
         sequence: Name of the folder within ``root``; None for the images in ``root`` itself or its only folder.
         camera: A YAML file (``camera: {width, height, fx, fy, cx, cy, distortion}`` or ``fov_degrees``) or its content;
-            None takes ``camera.yaml`` beside the images if there is one.
+            None takes ``camera.yaml`` beside the images; where there is none, COLMAP estimates it (extra ``colmap``).
         fov: Horizontal field of view in degrees, instead of ``camera``.
         fps: Frames per second.
         start: First frame.
@@ -52,11 +52,9 @@ class ImagesSequence(FileSequence):
             base if names == [None] and sequence is None else base / choose(sequence, [n for n in names if n], base)
         )
         images = list_images(folder)
-        beside = folder / "camera.yaml"
-        if camera is None and fov is None and beside.is_file():
-            camera = beside
-        height, width = read_image(images[0]).shape[:2]
-        pinhole = make_camera(camera, fov, width, height, folder)
+        pinhole = known_or_estimated(
+            camera, fov, folder / "camera.yaml", folder, lambda i: read_image(images[i]), lambda: len(images)
+        )
         files = Files(images, np.arange(len(images)) / fps)
         super().__init__(safe_name(folder.resolve().name), pinhole, files, start, stop, step)
 

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame
-from prgbd.plugins.data._camera import Undistorter, make_camera
+from prgbd.plugins.data._camera import Undistorter, known_or_estimated
 from prgbd.plugins.data._images import safe_name
+from prgbd.plugins.data._mp4 import frame_times
 from prgbd.plugins.data._recording import check_index, choose, frame_range
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
 SKIP = 48  # up to so many frames are decoded and dropped rather than sought
+UNEVEN = 2e-3  # seconds by which frames may last unequally long
 PROBE = 12  # frame by which seeking is tested
 
 
@@ -29,9 +31,12 @@ class VideoSequence(Sequence):
     Args:
         root: The video file, or a folder of them.
         sequence: Name of the file within the folder; None for the only one.
-        camera: A YAML file (``camera: {width, height, fx, fy, cx, cy, distortion}`` or ``fov_degrees``) or its content.
+        camera: A YAML file (``camera: {width, height, fx, fy, cx, cy, distortion}`` or ``fov_degrees``) or its content;
+            None takes ``NAME.camera.yaml`` beside ``NAME.mp4``; where there is none, COLMAP estimates it (extra
+            ``colmap``). It belongs to the video's own size.
         fov: Horizontal field of view in degrees, instead of ``camera``.
-        fps: Frames per second; None takes the file's.
+        width: Pixels of width to shrink the images to; None leaves them as they are.
+        fps: Frames per second; None takes the file's, and the times of its frames where they are listed (MP4, MOV).
         start: First frame.
         stop: Frame to stop before; None for the end.
         step: Take every ``step``-th frame.
@@ -47,6 +52,7 @@ class VideoSequence(Sequence):
         sequence: str | None = None,
         camera: str | Path | Mapping[str, Any] | None = None,
         fov: float | None = None,
+        width: int | None = None,
         fps: float | None = None,
         start: int = 0,
         stop: int | None = None,
@@ -54,18 +60,26 @@ class VideoSequence(Sequence):
     ) -> None:
         self._path = _find(Path(root).expanduser(), sequence)
         self._reader = _Reader(self._path)
-        height, width = self._reader.read(0).shape[:2]
+        first = self._reader.read(0)
         rate = self._reader.rate if fps is None else fps
         if not (np.isfinite(rate) and rate > 0):
             raise ConfigError(
                 f"The frame rate of {self._path} is {rate:g}; set the option data.fps to its frames per second."
             )
-        pinhole = make_camera(camera, fov, width, height, self._path)
+        beside = self._path.with_suffix(".camera.yaml")
+        pinhole = known_or_estimated(camera, fov, beside, self._path, self._reader.read, self._reader.count)
+        self._size = _shrunk(width, first.shape[1], first.shape[0])
+        pinhole = pinhole.resized(*self._size)
+        self._full = first.shape
         self.camera = pinhole.undistorted()
         self._undistorter = Undistorter(pinhole)
         self.name = safe_name(self._path.stem)
-        self._chosen = frame_range(self._reader.count(), start, stop, step, self.name)
-        self.timestamps = np.array(self._chosen, np.float64) / rate
+        count = self._reader.count()
+        times = np.arange(count) / rate
+        if fps is None and self._reader.times is not None and len(self._reader.times) >= count:
+            times = self._reader.times[:count]
+        self._chosen = frame_range(count, start, stop, step, self.name)
+        self.timestamps = np.array(times[np.array(self._chosen)], np.float64)
 
     @classmethod
     def available(cls, **options: Any) -> list[str | None]:
@@ -85,12 +99,14 @@ class VideoSequence(Sequence):
             IndexError: If the index is out of range.
         """
         check_index(index, len(self), self.name)
-        image = self._undistorter.image(self._reader.read(self._chosen[index]))
-        if image.shape[:2] != (self.camera.height, self.camera.width):
+        image = self._reader.read(self._chosen[index])
+        if image.shape != self._full:
             raise DataError(
                 f"Frame {self._chosen[index]} of {self._path} has another size than the first; cut the video."
             )
-        return Frame(index, float(self.timestamps[index]), image)
+        if self._size != (image.shape[1], image.shape[0]):
+            image = np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
+        return Frame(index, float(self.timestamps[index]), self._undistorter.image(image))
 
 
 class _Reader:
@@ -103,6 +119,9 @@ class _Reader:
         self._next = 0
         self._last: tuple[int, NDArray[np.uint8]] | None = None
         self._seeks: bool | None = None
+        self._count: int | None = None
+        self.times = frame_times(path)
+        self._even = self.times is None or len(self.times) < 3 or bool(np.ptp(np.diff(self.times)) < UNEVEN)
         self.rate = float(self._open().get(cv2.CAP_PROP_FPS))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -139,6 +158,11 @@ class _Reader:
 
         What the container says is taken if the last of these frames can be read; otherwise they are counted.
         """
+        if self._count is None:
+            self._count = self._counted()
+        return self._count
+
+    def _counted(self) -> int:
         claimed = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if claimed > 0 and self._can_seek():
             try:
@@ -166,12 +190,30 @@ class _Reader:
         """Bring the file to where the next decoded frame is ``number``."""
         if not 0 <= number - self._next <= SKIP:
             if self._can_seek():
-                self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-                self._next = number
+                self._seek(number)
             elif number < self._next:
                 self._open()
         while self._next < number and self._capture.grab():
             self._next += 1
+
+    def _seek(self, number: int) -> None:
+        """Bring the file to frame ``number``, or to one before it where frames last unequally long.
+
+        OpenCV seeks by time at the mean frame rate, so where it came out is read off the next frame's time.
+        """
+        if self._even or self.times is None:
+            self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+            self._next = number
+            return
+        for back in (2, 60):
+            self._capture.set(cv2.CAP_PROP_POS_FRAMES, max(0, round(self.times[number] * self.rate) - back))
+            if not self._capture.grab():
+                continue
+            at = int(np.argmin(np.abs(self.times - self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)))
+            if at < number:
+                self._next = at + 1
+                return
+        self._open()
 
     def _can_seek(self) -> bool:
         """Test once whether a sought frame equals the same frame decoded in order."""
@@ -189,6 +231,17 @@ class _Reader:
             self._seeks = bool(frames) and done and np.array_equal(image, frames[number])
             probe.release()
         return self._seeks
+
+
+def _shrunk(width: int | None, full_width: int, full_height: int) -> tuple[int, int]:
+    """The size of the images, (width, height), with the width that was asked for."""
+    if width is None:
+        return full_width, full_height
+    if isinstance(width, bool) or not isinstance(width, int) or not 16 <= width <= full_width:
+        raise ConfigError(
+            f"data.width={width} cannot be used; images can be shrunk to a width of 16 to {full_width} pixels."
+        )
+    return width, max(1, round(full_height * width / full_width))
 
 
 def _three_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import struct
 from pathlib import Path
 
 import cv2
@@ -148,3 +149,105 @@ def test_a_frame_that_cannot_be_decoded_is_named(clip: Path) -> None:
     with pytest.raises(DataError, match=rf"Frame {FRAMES + 200} of .*clip"):
         sequence._reader.read(FRAMES + 200)
     assert shade(sequence.frame(3).image) == pytest.approx(26, abs=6)
+
+
+def test_a_video_is_shrunk_with_its_camera(clip: Path) -> None:
+    camera = {"fx": 40, "fy": 40, "cx": 31.5, "cy": 23.5, "distortion": [0.3, 0, 0, 0]}
+    sequence = VideoSequence(clip, camera=camera, width=32)
+    assert (sequence.camera.width, sequence.camera.height, sequence.camera.fx) == (32, 24, 20)
+    assert sequence.frame(3).image.shape == (24, 32, 3)
+    for width in (0, 65, True):
+        with pytest.raises(ConfigError, match=r"data\.width"):
+            VideoSequence(clip, fov=60, width=width)
+
+
+@pytest.fixture
+def phone(tmp_path: Path) -> Path:
+    """An MP4 whose frames are told apart by their grey, 64x48 pixels, 25 Hz."""
+    path = tmp_path / "phone.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (64, 48))
+    if not writer.isOpened():
+        pytest.skip("this OpenCV cannot write videos")
+    for i in range(FRAMES):
+        image = np.full((48, 64, 3), 2 * i + 20, np.uint8)
+        image[:8, :] = 255 if i == 0 else image[:8, :]
+        writer.write(image)
+    writer.release()
+    return path
+
+
+def replace_box(data: bytes, path: tuple[bytes, ...], content: bytes) -> bytes:
+    """Replace the content of a box of an MP4 file; the boxes around it grow with it."""
+    out, at = b"", 0
+    while at < len(data):
+        (length,) = struct.unpack(">I", data[at : at + 4])
+        inner = data[at + 8 : at + length]
+        if data[at + 4 : at + 8] == path[0]:
+            inner = replace_box(inner, path[1:], content) if len(path) > 1 else content
+        out += struct.pack(">I", len(inner) + 8) + data[at + 4 : at + 8] + inner
+        at += length
+    return out
+
+
+def test_times_of_a_variable_frame_rate_are_the_frames_own(phone: Path) -> None:
+    data = phone.read_bytes()
+    at = data.index(b"mdhd")
+    (scale,) = struct.unpack(">I", data[at + 16 : at + 20])
+    slow, fast = scale // 10, scale // 50
+    table = struct.pack(">IIIIII", 0, 2, 20, slow, FRAMES - 20, fast)
+    phone.write_bytes(replace_box(data, (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"), table))
+    sequence = VideoSequence(phone, fov=60)
+    expected = np.cumsum([0.0, *[0.1] * 20, *[0.02] * (FRAMES - 21)])
+    np.testing.assert_allclose(sequence.timestamps, expected, atol=1e-3)
+    for i in (80, 3, 4, 60, 10, 89, 30):  # also where OpenCV, which seeks by a mean frame rate, misses
+        assert shade(sequence.frame(i).image[8:]) == pytest.approx(2 * i + 20, abs=6)
+    assert VideoSequence(phone, fov=60, fps=25).timestamps[1] == pytest.approx(0.04)
+
+
+def test_a_turned_phone_video_comes_out_upright(phone: Path) -> None:
+    data = bytearray(phone.read_bytes())
+    at = data.index(b"tkhd") + 4 + 40
+    turned = (0, 1 << 16, 0, -(1 << 16), 0, 0, 48 << 16, 0, 1 << 30)  # by 90 degrees, as phones note it
+    data[at : at + 36] = struct.pack(">9i", *turned)
+    phone.write_bytes(data)
+    sequence = VideoSequence(phone, fov=60)
+    assert (sequence.camera.width, sequence.camera.height) == (48, 64)
+    image = sequence.frame(0).image
+    assert image.shape == (64, 48, 3)
+    assert image[:, -6:].mean() > 200 > image[:, :6].mean()
+    assert sequence.frame(70).image.shape == (64, 48, 3)  # sought, not read in order
+
+
+def test_a_video_without_frames_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "empty.mp4"
+    cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (64, 48)).release()
+    with pytest.raises(DataError, match=r"empty\.mp4"):
+        VideoSequence(path, fov=60)
+
+
+def test_frames_behind_damage_are_left_out_or_named(phone: Path) -> None:
+    data = bytearray(phone.read_bytes())
+    begin = data.index(b"mdat") + 4
+    end = data.index(b"moov") - 4
+    tail = begin + (end - begin) // 2
+    data[tail:end] = bytes(end - tail)
+    phone.write_bytes(data)
+    sequence = VideoSequence(phone, fov=60)
+    assert 0 < len(sequence) <= FRAMES
+    assert shade(sequence.frame(5).image[8:]) == pytest.approx(30, abs=6)
+
+
+def test_the_camera_file_beside_a_video_is_taken(clip: Path) -> None:
+    beside = clip.with_suffix(".camera.yaml")
+    beside.write_text("camera: {fx: 50, fy: 50, cx: 31.5, cy: 23.5}")
+    try:
+        assert VideoSequence(clip).camera.fx == 50
+        assert VideoSequence(clip, fov=90).camera.fx == pytest.approx(32)
+    finally:
+        beside.unlink()
+
+
+def test_without_calibration_three_mends_are_named(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prgbd.plugins.data._camera.can_estimate", lambda: False)
+    with pytest.raises(ConfigError, match=r"is not known; set data\.fov .* or data\.camera .*prgbd\[colmap\]"):
+        VideoSequence(clip)

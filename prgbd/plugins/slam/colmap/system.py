@@ -213,12 +213,12 @@ class ColmapSLAM(GeometricSLAM):
 
 def _say_what_is_left_out(model: Model, given: int) -> None:
     """Warn of images that are in no model, or in another than the largest."""
+    if model.sizes[0] >= given:
+        return
+    log.warning("COLMAP registered %d of %d images.", model.sizes[0], given)
     if len(model.sizes) > 1:
-        sizes = ", ".join(map(str, model.sizes))
         log.warning(
-            "COLMAP found %d unconnected models of %s images; the largest is kept, frames of the others are lost.",
+            "It found %d unconnected models of %s images; the largest is kept, frames of the others are lost.",
             len(model.sizes),
-            sizes,
+            ", ".join(map(str, model.sizes)),
         )
-    elif model.sizes[0] < given:
-        log.warning("COLMAP registered %d of %d images.", model.sizes[0], given)
