@@ -29,7 +29,7 @@ def known_or_estimated(
     beside: Path,
     where: Path,
     image: Callable[[int], NDArray[np.uint8]],
-    count: Callable[[], int],
+    count: int,
 ) -> PinholeCamera:
     """Return the camera of a recording from what the user gave, from a file beside it, or from its images.
 
@@ -41,7 +41,7 @@ def known_or_estimated(
         beside: The camera file that is taken where neither is given.
         where: The recording, for messages.
         image: Returns an image of the recording, (H, W, 3) uint8 RGB.
-        count: Returns the number of images.
+        count: Number of images.
 
     Raises:
         ConfigError: If nothing is known of the camera and it cannot be estimated; the message names the three mends.
@@ -63,7 +63,7 @@ def known_or_estimated(
         )
     log.warning("The camera of %s is not known: COLMAP estimates it from the images, which takes minutes.", where)
     try:
-        estimate = estimate_camera(image, count(), str(where))
+        estimate = estimate_camera(image, count, str(where))
     except SlamError:
         raise ConfigError(
             f"The camera of {where} is not known, and its images do not tell; {mends}, or choose a part where the "

@@ -11,7 +11,7 @@ import numpy as np
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.plugins.data._camera import known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES, list_images, read_image, safe_name
-from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root
+from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, frame_range
 
 
 class ImagesSequence(FileSequence):
@@ -52,8 +52,10 @@ class ImagesSequence(FileSequence):
             base if names == [None] and sequence is None else base / choose(sequence, [n for n in names if n], base)
         )
         images = list_images(folder)
+        chosen = frame_range(len(images), start, stop, step, folder.name)
+        span = range(chosen[0], chosen[-1] + 1)
         pinhole = known_or_estimated(
-            camera, fov, folder / "camera.yaml", folder, lambda i: read_image(images[i]), lambda: len(images)
+            camera, fov, folder / "camera.yaml", folder, lambda i: read_image(images[span[i]]), len(span)
         )
         files = Files(images, np.arange(len(images)) / fps)
         super().__init__(safe_name(folder.resolve().name), pinhole, files, start, stop, step)

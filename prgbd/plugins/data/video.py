@@ -66,19 +66,20 @@ class VideoSequence(Sequence):
             raise ConfigError(
                 f"The frame rate of {self._path} is {rate:g}; set the option data.fps to its frames per second."
             )
+        self.name = safe_name(self._path.stem)
+        count = self._reader.count()
+        self._chosen = frame_range(count, start, stop, step, self.name)
         beside = self._path.with_suffix(".camera.yaml")
-        pinhole = known_or_estimated(camera, fov, beside, self._path, self._reader.read, self._reader.count)
+        span = range(self._chosen[0], self._chosen[-1] + 1)
+        pinhole = known_or_estimated(camera, fov, beside, self._path, lambda i: self._reader.read(span[i]), len(span))
         self._size = _shrunk(width, first.shape[1], first.shape[0])
         pinhole = pinhole.resized(*self._size)
         self._full = first.shape
         self.camera = pinhole.undistorted()
         self._undistorter = Undistorter(pinhole)
-        self.name = safe_name(self._path.stem)
-        count = self._reader.count()
         times = np.arange(count) / rate
         if fps is None and self._reader.times is not None and len(self._reader.times) >= count:
             times = self._reader.times[:count]
-        self._chosen = frame_range(count, start, stop, step, self.name)
         self.timestamps = np.array(times[np.array(self._chosen)], np.float64)
 
     @classmethod
