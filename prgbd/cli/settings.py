@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import torch
 
     from prgbd.cli.parts import Parts
+    from prgbd.core.computing import Computing
     from prgbd.core.depth import DepthEstimator
     from prgbd.loop.self_improving import LoopSettings
     from prgbd.loop.slam_runs import MapFiles
@@ -214,6 +215,7 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
         running_baseline=(config.get("slam") or {}).get("baseline") == "running",
         baseline_percentile=float(number(config, "sensing.baseline_percentile")),
         batch_size=batch_size(config),
+        computing=computing(config),
         cache=None if cache is None else Path(cache),
         depth_images=evaluation.depth_images,
         depth_cap=evaluation.depth_cap,
@@ -316,6 +318,18 @@ def batch_size(config: Mapping[str, Any]) -> int | None:
     if size < 1:
         raise ConfigError(f"sensing.batch_size is {size}; it must be at least 1.")
     return size
+
+
+def computing(config: Mapping[str, Any]) -> Computing:
+    """Return how the sensor's network is computed.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+    from prgbd.core.computing import Computing
+
+    names = [field.name for field in fields(Computing)]
+    return Computing(**{name: config["sensing"][name] for name in names if name in config["sensing"]})
 
 
 def identity(config: Mapping[str, Any], parts: Parts) -> RunIdentity:

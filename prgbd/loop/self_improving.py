@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
@@ -38,6 +39,7 @@ class LoopSettings:
         running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
         baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
         batch_size: Frames per forward pass of the sensor; None chooses by device.
+        computing: Precision and speed of the sensor's network.
         cache: Folder for predicted depth that several runs share; None keeps it in the run until it is used.
         depth_images: At most this many images per sequence are evaluated; None for all.
         depth_cap: Metres.
@@ -57,6 +59,7 @@ class LoopSettings:
     running_baseline: bool = False
     baseline_percentile: float = 100.0
     batch_size: int | None = None
+    computing: Computing = field(default_factory=Computing)
     cache: Path | None = None
     depth_images: int | None = 100
     depth_cap: float = 80.0
@@ -212,6 +215,7 @@ class SelfImprovingLoop:
             percentile=self.settings.baseline_percentile,
             batch_size=self.settings.batch_size,
             monitor=self.monitor,
+            computing=self.settings.computing,
         )
 
     def _sense(self, sensor: DepthSensor) -> dict[str, Any]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Generator, Iterator
+from collections.abc import Sequence as Many
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from prgbd.core import wrappers
+from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ContractError
@@ -26,6 +30,11 @@ from prgbd.core.validation import check_depth_shape
 from prgbd.loop.monitor import Monitor, SilentMonitor
 
 _SUBSAMPLING = 8
+_LOOK_AHEAD = 2
+"""Batches that are decoded while the network works on another one."""
+
+Batch = tuple[range, list[NDArray[np.uint8]], torch.Tensor | None]
+"""Frames, their images, and the images at the network's size unless the plug-in brings its own ``predict``."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +83,7 @@ class DepthSensor:
         percentile: d_max is this percentile of all predicted depths; 100 is the paper's largest depth.
         batch_size: Frames per forward pass; None is 1 on the CPU and 8 on a GPU.
         monitor: Who watches.
+        computing: Precision and speed of the network; by default exact.
     """
 
     def __init__(
@@ -86,15 +96,18 @@ class DepthSensor:
         percentile: float = 100.0,
         batch_size: int | None = None,
         monitor: Monitor | None = None,
+        computing: Computing | None = None,
     ) -> None:
         self.estimator = estimator
         self.sequence = sequence
         self.name = name
         self.percentile = percentile
         self._monitor = monitor or SilentMonitor()
+        self._computing = computing or Computing()
         self._device = next((p.device for p in estimator.parameters()), torch.device("cpu"))
         self._batch_size = batch_size or (1 if self._device.type == "cpu" else 8)
-        stem = f"{sequence.name}-{cache_key(estimator, sequence, name)}"
+        key = cache_key(estimator, sequence, name, self._computing.description(self._device))
+        stem = f"{sequence.name}-{key}"
         self.path = cache / f"{stem}.npy"
         self._statistics_path = cache / f"{stem}.json"
         self._inverse: NDArray[np.float32] | None = None
@@ -151,46 +164,71 @@ class DepthSensor:
         with (
             atomic_path(self.path) as temporary,
             self._monitor.stage(f"Depth of {self.sequence.name}", count) as progress,
+            contextlib.closing(self._predictions()) as predictions,
         ):
             file: NDArray[np.float32] | None = None
-            for start in range(0, count, self._batch_size):
-                indices = range(start, min(start + self._batch_size, count))
-                for index, depth in zip(indices, self._predict(indices), strict=True):
-                    if file is None:
-                        file = np.lib.format.open_memmap(temporary, "w+", np.float32, (count, *depth.shape))
-                    self._check(depth, index)
-                    file[index] = 1.0 / depth
-                    median[index], maximum[index] = float(np.median(depth)), float(depth.max())
-                    progress.advance()
+            for index, depth in enumerate(predictions):
+                if file is None:
+                    file = np.lib.format.open_memmap(temporary, "w+", np.float32, (count, *depth.shape))
+                self._check(depth, index)
+                file[index] = 1.0 / depth
+                median[index], maximum[index] = float(np.median(depth)), float(depth.max())
+                progress.advance()
             assert file is not None  # a sequence has at least one frame
             depth_max = float(maximum.max()) if self.percentile >= 100 else self._percentile(file)
             file.flush()  # type: ignore[attr-defined]
             del file
         write_json(self._statistics_path, asdict(DepthStatistics(depth_max, median.tolist(), maximum.tolist())))
 
-    def _predict(self, indices: range) -> NDArray[np.float32]:
-        """Predict (n, h, w) depth at the network's size, or the plug-in's own if it brings its own ``predict``."""
-        images = [self.sequence.frame(index).image for index in indices]
-        if type(self.estimator).predict is not DepthEstimator.predict:
+    def _predictions(self) -> Generator[NDArray[np.float32]]:
+        """Yield the depth of every frame, (h, w): at the network's size, or what the plug-in's own `predict` gives."""
+        was_training = self.estimator.training
+        self.estimator.eval()
+        try:
+            with (
+                self._computing.applied(self.estimator, self._device, self._monitor.say),
+                contextlib.closing(self._decoded()) as batches,
+            ):
+                for batch in batches:
+                    yield from self._predict(*batch)
+        finally:
+            self.estimator.train(was_training)
+
+    def _decoded(self) -> Generator[Batch]:
+        """Yield decoded batches; a thread of its own is ahead by a few."""
+        brings_predict = type(self.estimator).predict is not DepthEstimator.predict
+
+        def decode(indices: range) -> Batch:
+            images = [self.sequence.frame(index).image for index in indices]
+            if brings_predict:
+                return indices, images, None
+            return indices, images, torch.stack([self.estimator.preprocess(image) for image in images])
+
+        count, size = len(self.sequence), self._batch_size
+        with ThreadPoolExecutor(1, "decode") as thread:
+            ahead: deque[Future[Batch]] = deque()
+            for start in range(0, count, size):
+                ahead.append(thread.submit(decode, range(start, min(start + size, count))))
+                if len(ahead) > _LOOK_AHEAD:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+
+    def _predict(
+        self, indices: range, images: list[NDArray[np.uint8]], batch: torch.Tensor | None
+    ) -> NDArray[np.float32]:
+        """Predict (n, h, w) depth."""
+        if batch is None:
             maps = [self.estimator.predict(image) for image in images]
             for index, image, depth in zip(indices, images, maps, strict=True):
                 who = f"The depth plug-in '{self.name}', frame {index} of '{self.sequence.name}',"
                 check_depth_shape(depth, (image.shape[0], image.shape[1]), who)
             return np.stack(maps)
-        was_training = self.estimator.training
-        self.estimator.eval()
         try:
-            with torch.inference_mode():
-                batch = torch.stack([self.estimator.preprocess(image) for image in images]).to(self._device)
-                try:
-                    depth = self.estimator(batch).depth[:, 0].float().cpu().numpy()
-                except ContractError as error:
-                    raise ContractError(
-                        f"{error} It happened at frame {indices[0]} of '{self.sequence.name}'."
-                    ) from error
-        finally:
-            self.estimator.train(was_training)
-        return np.asarray(depth, np.float32)
+            prediction = self.estimator(self._computing.arranged(batch.to(self._device)))
+        except ContractError as error:
+            raise ContractError(f"{error} It happened at frame {indices[0]} of '{self.sequence.name}'.") from error
+        return np.asarray(prediction.depth[:, 0].float().cpu().numpy(), np.float32)
 
     def _check(self, depth: NDArray[np.float32], index: int) -> None:
         bad = int(np.count_nonzero(~(np.isfinite(depth) & (depth > 0))))
@@ -227,8 +265,8 @@ def weights_fingerprint(estimator: DepthEstimator) -> str:
     return digest.hexdigest()[:16]
 
 
-def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str) -> str:
-    """Return what the predicted depth depends on: plug-in, weights, input size, recording and its options."""
+def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str, computing: Many[str] = ()) -> str:
+    """Return what the predicted depth depends on: plug-in, weights, input size, recording, options and precision."""
     parts: list[Any] = [
         name,
         weights_fingerprint(estimator),
@@ -239,5 +277,6 @@ def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str) -> str:
         [float(sequence.timestamps[0]), float(sequence.timestamps[-1])],
         hashlib.sha256(np.ascontiguousarray(sequence.frame(0).image).tobytes()).hexdigest()[:16],
         *wrappers.description(estimator),
+        *computing,
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]

@@ -48,6 +48,7 @@ def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
         percentile=float(settings.number(job.config, "sensing.baseline_percentile")),
         batch_size=settings.batch_size(job.config),
         monitor=job.display,
+        computing=settings.computing(job.config),
     )
 
 
