@@ -106,6 +106,7 @@ def compiled(network: nn.Module, say: Callable[[str], None] = warnings.warn) -> 
         network: Its ``forward`` is replaced in the block.
         say: Takes a sentence if it cannot be compiled.
     """
+    replaced = vars(network).get("forward")
     plain = network.forward
     fast = torch.compile(plain, dynamic=False)
     given_up = False
@@ -130,3 +131,5 @@ def compiled(network: nn.Module, say: Callable[[str], None] = warnings.warn) -> 
         yield
     finally:
         del network.forward
+        if replaced is not None:
+            network.forward = replaced

@@ -24,6 +24,7 @@ from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
 from prgbd.training.augmentation import jittered
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process
+from prgbd.training.compilation import Compilation
 from prgbd.training.images import image_folder
 from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
@@ -259,6 +260,8 @@ def _trainer(
     """Make a trainer with the user's options."""
     options = dict(options)
     several: list[Callback] = [*options.pop("callbacks", []), *callbacks]
+    if settings.compile:
+        several.append(Compilation())
     if bar:
         several.append(RichProgressBar(leave=False))
     defaults: dict[str, Any] = {

@@ -26,6 +26,7 @@ from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process
+from prgbd.training.compilation import Compilation
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
@@ -163,6 +164,8 @@ def _trainer(
     options = dict(trainer_options)
     progress = bool(options.pop("enable_progress_bar", sys.stderr.isatty()))
     several: list[Callback] = [*options.pop("callbacks", []), *callbacks]
+    if settings.compile:
+        several.append(Compilation())
     if progress:
         several.append(RichProgressBar(leave=False))
     defaults: dict[str, Any] = {

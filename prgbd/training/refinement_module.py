@@ -82,8 +82,9 @@ class DepthRefinement(lightning.LightningModule):
         weights = self.settings.weights
         seen = batch.images if seen is None else seen
         views = [0, 3, 4] if weights["depth_transfer"] else [0]
-        # Convolutions are about 15 % faster on the CPU, and faster with tensor cores, when channels lie innermost.
-        inputs = torch.cat([seen[:, view] for view in views]).contiguous(memory_format=torch.channels_last)
+        inputs = torch.cat([seen[:, view] for view in views])
+        if self.settings.channels_last:
+            inputs = inputs.contiguous(memory_format=torch.channels_last)
         prediction: DepthPrediction = self.estimator(inputs)
         size = batch.images.shape[0]
         current = DepthPrediction(

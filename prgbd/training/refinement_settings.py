@@ -48,6 +48,8 @@ class RefinementSettings:
         frame_gap: How many frames away the temporally adjacent frames are.
         min_common_points: Points that a neighbouring keyframe should share with the current one.
         memory_mb: Decoded images beyond this lie in a file instead of memory.
+        channels_last: Memory layout of the network's images that convolutions are faster in on most processors.
+        compile: Compile the network with ``torch.compile``: about a minute once, then faster steps.
         checkpoint: Keep the Lightning checkpoint of the last epoch.
         checkpoint_minutes: A refinement that is stopped goes on from at most this many minutes before; 0 saves its
             state after every step.
@@ -80,6 +82,8 @@ class RefinementSettings:
     frame_gap: int = 1
     min_common_points: int = 20
     memory_mb: int = 1024
+    channels_last: bool = True
+    compile: bool = False
     checkpoint: bool = False
     checkpoint_minutes: float = 2.0
 

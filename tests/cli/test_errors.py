@@ -55,6 +55,8 @@ from tests.cli.conftest import FAKES
         (["+trainer.max_steps_=1", *FAKES], ["trainer", "max_steps_"]),
         (["out=/proc/run", *FAKES], ["/proc/run", "out="]),
         (["sensing.cache=/proc/cache", *FAKES], ["sensing.cache=/proc/cache"]),
+        (["sensing.precision=half", *FAKES], ["sensing.precision", "bfloat16"]),
+        (["sensing.compile=perhaps", *FAKES], ["sensing.compile", "true or false"]),
         (["loss=all,no_smoothness", *FAKES], ["loss=all,no_smoothness", "-m"]),
         (["slam=null", "depth=test/tiny"], ["slam=ID"]),
     ],

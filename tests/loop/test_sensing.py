@@ -3,7 +3,8 @@ import pytest
 import torch
 
 from prgbd import DepthPrediction
-from prgbd.core.errors import ContractError
+from prgbd.core.computing import Computing
+from prgbd.core.errors import ContractError, DataError
 from prgbd.core.slam import adaptive_baseline
 from prgbd.loop.sensing import DepthSensor, weights_fingerprint
 from tests.loop.fakes import NanDepth, Tiny, Wall, ZeroDepth
@@ -132,3 +133,57 @@ def test_training_mode_is_left_as_it_was(tmp_path):
     network = Ramp().train()
     make(network, tmp_path).prepare()
     assert network.training
+
+
+def test_half_precision_has_a_cache_of_its_own(tmp_path):
+    network = Ramp()
+    exact = make(network, tmp_path)
+    half = make(network, tmp_path, computing=Computing("bfloat16", channels_last=True))
+    assert exact.path != half.path
+    assert exact.path == make(network, tmp_path, computing=Computing()).path
+    assert half.depth(0).dtype == np.float32
+    assert Ramp.passes == 5
+
+
+class Sensed(Tiny):
+    """Notes how it is called."""
+
+    def __init__(self):
+        super().__init__()
+        self.calls = []
+
+    def forward(self, images):
+        last = images.is_contiguous(memory_format=torch.channels_last)
+        self.calls.append((torch.is_autocast_enabled("cpu"), torch.is_grad_enabled(), self.training, last))
+        return super().forward(images)
+
+
+def test_the_network_is_called_as_chosen_and_left_as_it_was(tmp_path):
+    network = Sensed().train()
+    make(network, tmp_path, computing=Computing("bfloat16", channels_last=True)).prepare()
+    make(network, tmp_path, computing=Computing()).prepare()
+    assert set(network.calls[:5]) == {(True, False, False, True)}
+    assert set(network.calls[5:]) == {(False, False, False, False)}
+    assert network.training
+    assert torch.is_grad_enabled()
+    assert not torch.is_autocast_enabled("cpu")
+
+
+def test_an_error_leaves_no_mode_behind(tmp_path):
+    with pytest.raises(ContractError):
+        make(NanDepth(), tmp_path, computing=Computing("bfloat16")).prepare()
+    assert torch.is_grad_enabled()
+    assert not torch.is_autocast_enabled("cpu")
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_an_image_that_cannot_be_read_is_told_as_ever(tmp_path):
+    class Torn(Wall):
+        def frame(self, index):
+            if index == 3:
+                raise DataError("frame 3 is torn")
+            return super().frame(index)
+
+    with pytest.raises(DataError, match="frame 3 is torn"):
+        make(Tiny(), tmp_path, Torn(frames=5)).prepare()
+    assert list(tmp_path.iterdir()) == []
