@@ -76,8 +76,9 @@ def camera() -> PinholeCamera:
     return PinholeCamera.from_fov(320, 240, 60.0)
 
 
-def test_a_sound_system_passes() -> None:
+def test_a_sound_system_passes(checked) -> None:
     assert check_slam(Still()).frames == 9
+    assert check_slam(checked).frames == 9
 
 
 @pytest.mark.parametrize(
