@@ -206,6 +206,7 @@ def _require_save_map(system: GeometricSLAM, path: Path) -> None:
 
 def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3") -> dict[str, Any]:
     """Return the figures of one SLAM run for ``summary.json``, with pose errors where there is truth."""
+    error = result.stats.get("depth_error") or {}
     figures = evaluate_trajectory(
         result.trajectory, len(sequence), sequence.poses, sequence.timestamps, alignment=alignment
     )
@@ -218,6 +219,8 @@ def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3"
         "points": len(result.points),
         "lost_frames": sum(str(state) == TrackingState.LOST.value for state in result.states),
         "baseline": result.stats.get("baseline"),
+        "depth_sigma": error.get("sigma"),
+        "depth_shared": error.get("shared"),
     }
 
 
@@ -227,6 +230,9 @@ def describe_pose(name: str, figures: Mapping[str, Any]) -> str:
     if figures.get("ate_rmse") is not None:
         parts.append(f"ATE {figures['ate_rmse']:.3f} m ({figures['alignment']}, {figures['pairs']} poses)")
     parts.append(f"{figures['keyframes']} keyframes, {figures['points']} points")
+    if figures.get("depth_sigma") is not None:
+        sigma, shared = figures["depth_sigma"], figures["depth_shared"]
+        parts.append(f"depth errs by {sigma:.0%}, {shared:.0%} of the variance shared by a frame")
     if figures.get("fps"):
         parts.append(f"{figures['fps']:.1f} fps")
     return ", ".join(parts)

@@ -119,7 +119,19 @@ def describe(summary: dict[str, Any]) -> list[str]:
         sentences += _better_loop(loops)
     if pose is None:
         sentences += _missing_pose(loops)
-    return sentences + _stop(summary)
+    return sentences + _depth_error(loops[-1]) + _stop(summary)
+
+
+def _depth_error(loop: dict[str, Any]) -> list[str]:
+    """Say how wrong the network's depth was against SLAM's own triangulation, per recording; needs no true depth."""
+    poses = loop.get("pose") or {}
+    told = [
+        f"{pose['depth_sigma']:.0%}{f' on {name}' if len(poses) > 1 else ''} "
+        f"({pose['depth_shared']:.0%} of the variance shared by a frame)"
+        for name, pose in poses.items()
+        if pose.get("depth_sigma") is not None
+    ]
+    return [f"Against SLAM's triangulated points the depth errs by {', '.join(told)}."] if told else []
 
 
 def _change(what: str, change: Change | None) -> str:

@@ -1,7 +1,7 @@
 import pytest
 
 from prgbd.core.errors import DataError
-from prgbd.loop.slam_runs import KINECT_BASELINE, pose_figures, run_slam, sensor_input
+from prgbd.loop.slam_runs import KINECT_BASELINE, describe_pose, pose_figures, run_slam, sensor_input
 from tests.loop.fakes import Sideways, Wall
 
 
@@ -47,3 +47,10 @@ def test_the_system_is_closed_even_when_it_fails():
     with pytest.raises(ZeroDivisionError):
         run_slam(Fails, sequence, sensor_input(sequence, "mono", None))
     assert closed == [True]
+
+
+def test_the_line_about_a_run_tells_the_depths_error():
+    figures = {"frames": 9, "tracked_frames": 9, "keyframes": 3, "points": 5, "depth_sigma": None}
+    assert "errs" not in describe_pose("00", figures)
+    line = describe_pose("00", {**figures, "depth_sigma": 0.14, "depth_shared": 0.6})
+    assert "depth errs by 14%, 60% of the variance shared by a frame" in line

@@ -92,3 +92,17 @@ def test_depth_of_one_loop_alone_is_no_change(summary):
 def test_a_run_without_loops_is_described():
     assert describe({"loops": []}) == ["The run has not finished a loop yet."]
     assert describe({}) == ["The run has not finished a loop yet."]
+
+
+def test_the_depths_error_against_the_map_is_told_where_there_is_one():
+    def sentences(**errors):
+        pose = {
+            name: {"frames": 9, "tracked_frames": 9, "depth_sigma": sigma, "depth_shared": 0.6}
+            for name, sigma in errors.items()
+        }
+        return describe({"loops": [{"loop": 0, "pose": pose, "depth": None}]})
+
+    told = "Against SLAM's triangulated points the depth errs by 14% (60% of the variance shared by a frame)."
+    assert told in sentences(a=0.142)
+    assert any("14% on a (60%" in sentence for sentence in sentences(a=0.142, b=None))
+    assert not any("errs" in sentence for sentence in sentences(a=None))

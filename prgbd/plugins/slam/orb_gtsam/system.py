@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,6 +13,7 @@ from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult, TrackingSta
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
+from prgbd.plugins.slam.orb_gtsam.depth_error import depth_error
 from prgbd.plugins.slam.orb_gtsam.diagnostics import depth_figures, map_sizes, view_of
 from prgbd.plugins.slam.orb_gtsam.frame_features import FrameReader
 from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
@@ -213,6 +214,9 @@ class OrbGtsamSLAM(GeometricSLAM):
         stats["loaded_keyframes"] = loaded_keyframes(self._map)
         stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
         stats |= depth_figures(self._frontend.depth_agreements)
+        if not self._rig.mono:
+            error = depth_error(self._map, self._rig)
+            stats["depth_error"] = None if error is None else asdict(error)
         stats["baseline"] = self._rig.baseline
         result = history.result(self._map, self._rig, stats)
         self._ready = False
