@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from prgbd.core.types import PinholeCamera
 
 WIDTH = 320
 """Pixels that images are shrunk to; motion is in pixels at this width."""
@@ -41,3 +46,52 @@ def median_motion(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float 
     """Return the median motion of corners between two grey images in pixels, or None where there are too few."""
     pair = followed(first, second)
     return None if pair is None else float(np.median(np.linalg.norm(pair[1] - pair[0], axis=1)))
+
+
+@dataclass(frozen=True)
+class Turning:
+    """How well a rotation of the camera alone explains what moved between two images.
+
+    Attributes:
+        motion: Median motion, pixels.
+        left_over: For every factor on the focal length, the part of ``motion`` that the best rotation leaves.
+    """
+
+    motion: float
+    left_over: NDArray[np.float64]
+
+
+def turning(
+    first: NDArray[np.float32], second: NDArray[np.float32], camera: PinholeCamera, factors: Sequence[float] = (1.0,)
+) -> Turning:
+    """Fit a rotation to corners followed between two ``small`` images.
+
+    Args:
+        first: (N, 2) pixels in the one image.
+        second: (N, 2) pixels in the other.
+        camera: The camera of the images as they were.
+        factors: What to multiply its focal length with.
+    """
+    shrunk = camera.resized(WIDTH, max(16, round(camera.height * WIDTH / camera.width)))
+    motion = float(np.median(np.linalg.norm(second - first, axis=1)))
+    left = []
+    for factor in factors:
+        f = np.array([shrunk.fx * factor, shrunk.fy * factor])
+        a, b = (np.c_[(pixels - (shrunk.cx, shrunk.cy)) / f, np.ones(len(pixels))] for pixels in (first, second))
+        turned = a @ _rotation(a, b).T
+        off = (turned[:, :2] / turned[:, 2:] - b[:, :2]) * f
+        left.append(float(np.median(np.linalg.norm(off, axis=1))) / max(motion, 1e-9))
+    return Turning(motion, np.array(left))
+
+
+def _rotation(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotation that takes directions ``a`` to ``b`` (Kabsch), fitted anew to those that agree."""
+    a, b = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (a, b))
+    agree = np.ones(len(a), bool)
+    R = np.eye(3)
+    for _ in range(5):
+        U, _, Vt = np.linalg.svd(b[agree].T @ a[agree])
+        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        off = np.linalg.norm(b - a @ R.T, axis=1)
+        agree = off <= 2.5 * np.median(off) + 1e-9
+    return R

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -10,14 +11,33 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import PrgbdError
+from prgbd.core.motion import WIDTH, Turning, followed, small, turning
 
-PAIRS = 10  # neighbouring frames that are looked at, spread over the recording
-WIDTH = 320  # pixels that they are shrunk to
-STILL = 0.3  # pixels of median flow at that width below which nothing moves
+PLACES = 10  # in the recording that are looked at
+ENOUGH = 4  # places that are looked at however long it takes
+SECONDS = 1.2  # of computing, after which no further place is
+STILL = 0.3  # pixels of median flow (of 320) below which nothing moves
 FAST = 40.0  # above which features are hard to follow
 SAME = 0.05  # mean grey levels of difference below which two frames are one
-DARK, BRIGHT = 30.0, 225.0  # mean grey levels
+NEARLY_SAME = 0.5  # the same after compression, where nothing moves either
+REPEATED = 0.1  # of the motion to the next frame: a frame that moves less is a repeated one
+BLACK, DARK, BRIGHT = 5.0, 30.0, 225.0  # mean grey levels
 FIELD_OF_VIEW = (25.0, 130.0)  # degrees, horizontal
+FAR = 25.0  # pixels of motion between the frames that a rotation is fitted to, at most 10 frames apart
+TURNS = 0.06  # of the motion may be left over, at four of five places, where the camera only turns
+FACTORS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8)  # on the focal length
+BETTER, BETTER_TURNING = 0.6, 0.8  # of the given focal length's left-over that another must reach
+
+
+@dataclass
+class _Look:
+    """What was seen at all places together."""
+
+    flows: list[float] = field(default_factory=list)
+    differences: list[float] = field(default_factory=list)
+    levels: list[float] = field(default_factory=list)
+    turnings: list[Turning] = field(default_factory=list)
+    repeated: int = 0
 
 
 @dataclass(frozen=True)
@@ -38,49 +58,108 @@ class Preflight:
 
 
 def preflight(sequence: Sequence) -> Preflight:
-    """Look at motion, duplicates, exposure, frame rate and calibration of a recording, on a few pairs of frames.
+    """Look at motion, duplicates, exposure, frame rate and calibration of a recording, at a few places of it.
 
     Frames that cannot be read are left out: the run itself names them.
     """
-    starts = np.unique(np.linspace(0, max(0, len(sequence) - 2), PAIRS).astype(int))[: len(sequence) - 1]
-    flows, differences, levels = [], [], []
-    for start in starts:
+    look = _Look()
+    begin = time.process_time()
+    places = np.unique(np.linspace(0, max(0, len(sequence) - 2), PLACES).astype(int))[: len(sequence) - 1]
+    # Every third one first, so that few places are spread as well.
+    for start in [int(place) for first in range(3) for place in places[first::3]]:
+        if len(look.levels) >= ENOUGH and time.process_time() - begin > SECONDS:
+            break
         try:
-            first, second = (_small(sequence.frame(int(index)).image) for index in (start, start + 1))
+            _look_at(sequence, start, look)
         except PrgbdError:
             continue
-        levels.append(float(first.mean()))
-        differences.append(float(cv2.absdiff(first, second).mean()))
-        flow = _flow(first, second)
-        if flow is not None:
-            flows.append(flow)
     camera = sequence.camera
     fov = float(np.degrees(2 * np.arctan(camera.width / (2 * camera.fx))))
-    motion = float(np.median(flows)) * camera.width / WIDTH if flows else None
+    motion = float(np.median(look.flows)) * camera.width / WIDTH if look.flows else None
     facts = [f"{len(sequence)} frames at {sequence.fps:.1f} Hz", f"field of view {fov:.0f} degrees"]
     if motion is not None:
         facts.append(f"motion {motion:.1f} pixels a frame")
-    if levels:
-        facts.append(f"brightness {np.mean(levels):.0f} of 255")
-    warnings = (*_of_images(flows, differences, levels), *_of_times(sequence), *_of_camera(sequence, fov))
+    if look.levels:
+        facts.append(f"brightness {np.mean(look.levels):.0f} of 255")
+    warnings = (*_of_images(look), *_of_turning(sequence, look), *_of_times(sequence), *_of_camera(sequence, fov))
     return Preflight(", ".join(facts), warnings)
 
 
-def _of_images(flows: list[float], differences: list[float], levels: list[float]) -> list[str]:
+def _look_at(sequence: Sequence, start: int, look: _Look) -> None:
+    """Compare a frame with the two behind it, and with one that the picture has moved further in."""
+    first, second = (small(sequence.frame(index).image) for index in (start, start + 1))
+    look.levels.append(float(first.mean()))
+    look.differences.append(float(cv2.absdiff(first, second).mean()))
+    pair = followed(first, second)
+    if pair is None:
+        return
+    motion = _length(pair)
+    if start + 2 < len(sequence):  # where every frame comes twice, one of the two pairs differs
+        third = small(sequence.frame(start + 2).image)
+        look.differences.append(float(cv2.absdiff(second, third).mean()))
+        following = followed(second, third)
+        low, high = sorted((motion, motion if following is None else _length(following)))
+        look.repeated += low < REPEATED * high and high > STILL
+        motion = high
+    look.flows.append(motion)
+    behind = start + int(np.clip(round(FAR / max(look.flows[-1], STILL)), 1, 10))
+    if behind > start + 1 and behind < len(sequence):
+        pair = followed(first, small(sequence.frame(behind).image))
+    if pair is not None and _length(pair) > 10 * STILL:
+        look.turnings.append(turning(*pair, sequence.camera, FACTORS))
+
+
+def _length(pair: tuple[NDArray[np.float32], NDArray[np.float32]]) -> float:
+    return float(np.median(np.linalg.norm(pair[1] - pair[0], axis=1)))
+
+
+def _of_images(look: _Look) -> list[str]:
     found = []
-    same = sum(difference < SAME for difference in differences)
-    if same:
-        found.append(f"{same} of {len(differences)} neighbouring frames are the same picture; raise data.step or fps")
-    elif flows and np.median(flows) < STILL:
+    level = float(np.mean(look.levels)) if look.levels else 0.5 * (DARK + BRIGHT)
+    if level < BLACK:
+        return ["the images are black; choose another part (data.start, data.stop) or check the file"]
+    same, pairs = sum(difference < SAME for difference in look.differences), len(look.differences)
+    frozen = bool(pairs) and np.median(look.differences) < NEARLY_SAME and max(look.flows, default=0.0) < STILL / 10
+    if (same and same == pairs) or frozen:
+        found.append("the picture is frozen, every frame is the same; choose another part (data.start, data.stop)")
+    elif same or 2 * look.repeated > len(look.flows):
+        same = max(same, look.repeated)
+        found.append(f"{same} of {pairs} neighbouring frames are the same picture; set data.step=2 or convert it anew")
+    elif look.flows and np.median(look.flows) < STILL:
         found.append("hardly anything moves, so nothing can be triangulated; choose another part or raise data.step")
-    if flows and np.median(flows) > FAST:
+    if look.flows and np.median(look.flows) > FAST:
         found.append("the picture moves fast; use a higher frame rate or a smaller data.step")
-    if levels and len(flows) < 0.5 * len(levels):
+    if look.levels and len(look.flows) < 0.5 * len(look.levels):
         found.append("there is too little texture to follow in most frames")
-    if levels and np.mean(levels) < DARK:
+    if level < DARK:
         found.append("the images are very dark")
-    if levels and np.mean(levels) > BRIGHT:
+    if level > BRIGHT:
         found.append("the images are overexposed")
+    return found
+
+
+def _of_turning(sequence: Sequence, look: _Look) -> list[str]:
+    """A camera that only turns shows no depth, but its focal length; one that also turns shows it less sharply."""
+    if len(look.turnings) < ENOUGH:
+        return []
+    left = np.array([seen.left_over for seen in look.turnings])
+    given = FACTORS.index(1.0)
+    found = []
+    only = np.quantile(left[:, given], 0.8) < TURNS
+    if only:
+        found.append("the camera hardly moves, it only turns, which shows no depth; move it sideways, or give depth=ID")
+    fits = left.min(axis=1) < 2.5 * TURNS
+    if fits.sum() >= ENOUGH:
+        turns = left[fits].mean(axis=0)
+        best = int(turns.argmin())
+        better = turns[best] < (BETTER_TURNING if only else BETTER) * turns[given]
+        # A wall that one slides along looks like turning with an ever longer lens: a best one in between is asked for.
+        if better and 0 < best < len(FACTORS) - 1 and abs(best - given) > 1:
+            f = sequence.camera.fx
+            found.append(
+                f"the way it turns fits a focal length of about {FACTORS[best] * f:.0f} pixels better than {f:.0f}; "
+                "check the calibration"
+            )
     return found
 
 
@@ -105,21 +184,3 @@ def _of_camera(sequence: Sequence, fov: float) -> list[str]:
     if off > 0.2:
         found.append(f"the principal point lies {off:.0%} of the image off its middle; check cx and cy")
     return found
-
-
-def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height = max(16, round(image.shape[0] * WIDTH / image.shape[1]))
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.asarray(cv2.resize(grey, (WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _flow(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float | None:
-    """The median motion of corners in pixels, or None where there are too few."""
-    corners = cv2.goodFeaturesToTrack(first, 200, 0.01, 7)
-    if corners is None or len(corners) < 10:
-        return None
-    moved, status, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, None)  # type: ignore[call-overload]
-    followed = status.ravel() == 1
-    if followed.sum() < 10:
-        return None
-    return float(np.median(np.linalg.norm((moved - corners).reshape(-1, 2)[followed], axis=1)))

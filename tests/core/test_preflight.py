@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import prgbd
 from prgbd import Frame, PinholeCamera, Sequence
@@ -29,6 +32,27 @@ class Slide(Sequence):
         return replace(self.frames[index], image=image)
 
 
+def turned(frames, index):
+    """The first image as a camera (field of view 60 degrees) sees it that turns by 1.5 degrees a frame."""
+    K = PinholeCamera.from_fov(320, 240, 60.0).K
+    R = Rotation.from_euler("yx", [1.5 * index, 0.7 * index], degrees=True).as_matrix()
+    return cv2.warpPerspective(wide(), K @ R @ np.linalg.inv(K) @ SHIFT, (320, 240), flags=cv2.INTER_LINEAR)
+
+
+SHIFT = np.array([[1.0, 0, -240], [0, 1, -180], [0, 0, 1]])
+
+
+@functools.cache
+def wide():
+    """A picture around that of the camera, so that it sees something wherever it turns."""
+    return planar_scene(1, 800, 600)[0].image
+
+
+def compressed(image, index):
+    """Other noise in every frame, as a codec leaves it."""
+    return np.clip(image + np.random.default_rng(index).normal(0, 0.7, image.shape), 0, 255)
+
+
 def unreadable(frames, index):
     if index == 5:
         raise DataError("cut off")
@@ -50,7 +74,13 @@ def test_a_recording_of_the_field_has_nothing_unusual() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"change": lambda frames, i: frames[0].image}, "are the same picture"),
+        ({"change": lambda frames, i: frames[0].image}, "the picture is frozen"),
+        ({"change": lambda frames, i: frames[i // 2].image}, "10 of 19 neighbouring frames are the same picture"),
+        ({"change": lambda frames, i: compressed(frames[i // 2].image, i)}, "neighbouring frames are the same picture"),
+        ({"change": lambda frames, i: 0 * frames[0].image}, "the images are black"),
+        ({"change": turned}, "it only turns"),
+        ({"change": turned, "camera": PinholeCamera.from_fov(320, 240, 32.2)}, "fits a focal length of about 277"),
+        ({"change": turned, "camera": PinholeCamera.from_fov(320, 240, 98.2)}, "fits a focal length of about 277"),
         ({"change": lambda frames, i: frames[0].image + np.uint8(i % 2)}, "hardly anything moves"),
         ({"change": lambda frames, i: frames[i].image // 16}, "very dark"),
         ({"change": lambda frames, i: 255 - frames[i].image // 16}, "overexposed"),
