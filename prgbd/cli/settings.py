@@ -211,6 +211,8 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
         min_improvement=number(
             {"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement", optional=True
         ),
+        criterion=str(config["task"].get("criterion", "both")),
+        patience=_whole(number({"task": {"patience": 0} | config["task"]}, "task.patience"), "task.patience"),
         baseline=baseline,
         running_baseline=(config.get("slam") or {}).get("baseline") == "running",
         baseline_percentile=float(number(config, "sensing.baseline_percentile")),

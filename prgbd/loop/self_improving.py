@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,7 +16,9 @@ from prgbd.core.errors import ConfigError
 from prgbd.core.export import DEFAULT_FORMATS, load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
+from prgbd.loop.criterion import CRITERIA, compare, stop_reason
 from prgbd.loop.depth_figures import depth_figures, write_samples
+from prgbd.loop.evidence import evidence
 from prgbd.loop.monitor import Monitor, SilentMonitor
 from prgbd.loop.refining import Refiner
 from prgbd.loop.sensing import DepthSensor, weights_fingerprint
@@ -33,8 +34,11 @@ class LoopSettings:
 
     Attributes:
         max_loops: Refinements of the network at most.
-        min_improvement: The held-out loss must drop by more than this fraction, or the loop stops; None never stops
-            it early, for ablations.
+        min_improvement: The criterion must drop by more than this fraction, or the loop stops; None never stops it
+            early and keeps the last loop, for ablations.
+        criterion: What decides whether a loop helped: ``held_out`` (the loss of the refinement on held-out keyframes),
+            ``slam`` (what SLAM made of the refined network, see ``prgbd.loop.criterion``) or ``both``.
+        patience: Go on after so many loops in a row that SLAM's evidence calls no better; the best one is kept anyway.
         baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
         running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
         baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
@@ -55,6 +59,8 @@ class LoopSettings:
 
     max_loops: int = 3
     min_improvement: float | None = 0.0
+    criterion: str = "both"
+    patience: int = 0
     baseline: float | None = None
     running_baseline: bool = False
     baseline_percentile: float = 100.0
@@ -74,6 +80,10 @@ class LoopSettings:
             raise ConfigError(f"task.max_loops is {self.max_loops}; it must be a whole number, 0 or more.")
         if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
             raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
+        if self.criterion not in CRITERIA:
+            raise ConfigError(f"task.criterion is '{self.criterion}'; choose one of {', '.join(CRITERIA)}.")
+        if isinstance(self.patience, bool) or not isinstance(self.patience, int) or self.patience < 0:
+            raise ConfigError(f"task.patience is {self.patience}; it must be a whole number, 0 or more.")
         if not 0 < self.baseline_percentile <= 100:
             raise ConfigError(
                 f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
@@ -127,6 +137,7 @@ class SelfImprovingLoop:
         self.identity = identity
         self.monitor = monitor or SilentMonitor()
         self.make_viewer = make_viewer
+        self._evidence: dict[int, dict[str, Any]] = {}
 
     @property
     def all_sequences(self) -> list[Sequence]:
@@ -143,6 +154,7 @@ class SelfImprovingLoop:
             PrgbdError: If something the user can mend is wrong; the finished steps are kept.
         """
         self._check_weights()
+        self._first_weights = {name: value.clone() for name, value in self.estimator.state_dict().items()}
         self.store.step("truth", lambda: write_truth(self.store, self.all_sequences))
         loops: list[dict[str, Any]] = []
         stop: dict[str, Any] = {"reason": None, "best_loop": 0}
@@ -150,22 +162,46 @@ class SelfImprovingLoop:
             stop["reason"] = f"All refinements that task.max_loops={self.settings.max_loops} allows were made."
         for loop in range(self.settings.max_loops + 1):
             self.monitor.say(f"Loop {loop}: {loop_name(loop)}")
-            entry = self._sense_and_localise(loop)
-            loops.append(entry)
-            stop["best_loop"] = loop
+            loops.append(self._sense_and_localise(loop))
+            reason = self._judge(loops, stop)
             write_summary(self.store, self.identity, self.all_sequences, loops)
-            if loop == self.settings.max_loops:
-                break
-            entry["training"], reason = self._refine(loop)
+            if not reason and loop < self.settings.max_loops:
+                loops[-1]["training"], reason = self._refine(loop)
             if reason:
                 stop["reason"] = reason
                 break
         if stop["reason"]:
             self.monitor.say(f"Stop: {stop['reason']}")
-        self._keep_best()
+        self._keep_best(stop["best_loop"])
         return write_summary(
             self.store, self.identity, self.all_sequences, loops, stop=stop, seconds=sum(e["seconds"] for e in loops)
         )
+
+    def _judge(self, loops: list[dict[str, Any]], stop: dict[str, Any]) -> str:
+        """Compare the last loop with the best one by SLAM's evidence; return why to stop, "" to go on."""
+        entry, best = loops[-1], loops[stop["best_loop"]]
+        settings, loop = self.settings, entry["loop"]
+        evidences = entry.pop("evidence"), self._evidence.get(best["loop"])
+        self._evidence[loop] = evidences[0]
+        if loop == 0:
+            return ""
+        assert evidences[1] is not None
+        verdict = compare(evidences[1], evidences[0], settings.min_improvement or 0.0)
+        entry["criterion"] = {"compared_with": best["loop"], **verdict.to_dict()}
+        self.monitor.say(f"  against loop {best['loop']}, without labels: {verdict.sentence()}")
+        decides = settings.criterion in ("slam", "both") and settings.min_improvement is not None
+        if verdict.better or not decides:
+            stop["best_loop"] = loop
+            return ""
+        entry["rolled_back"] = True
+        text = (
+            f"Loop {loop} is rolled back, for it is no better than loop {best['loop']} ({verdict.sentence()}); "
+            f"network and trajectory of loop {best['loop']} are kept."
+        )
+        if loop - best["loop"] > settings.patience or loop == settings.max_loops:
+            return text
+        self.monitor.say(f"  {text} Going on for task.patience={settings.patience}.")
+        return ""
 
     def _check_weights(self) -> None:
         """Refuse to go on with a run whose first weights were other ones."""
@@ -183,11 +219,14 @@ class SelfImprovingLoop:
         sensors = [self._sensor(loop, sequence) for sequence in self.all_sequences]
         pose: dict[str, Any] = {}
         sensed: dict[str, Any] = {}
+        found: dict[str, Any] = {}
         for sensor in sensors:
             name = sensor.sequence.name
             sensed[name] = self.store.step(step_name(loop, "sense", name), partial(self._sense, sensor))
             pose[name] = self.store.step(step_name(loop, "slam", name), partial(self._localise, loop, sensor))
             self.monitor.say("  " + describe_pose(name, pose[name]))
+            if self.settings.max_loops:
+                found[name] = self.store.step(step_name(loop, "evidence", name), partial(self._find, loop, sensor))
         depth = self.store.step(step_name(loop, "depth"), lambda: self._evaluate_depth(loop, sensors))
         if depth and depth["images"]:
             self.monitor.say(describe_depth(depth))
@@ -204,7 +243,12 @@ class SelfImprovingLoop:
             "baseline": {name: figures["baseline"] for name, figures in sensed.items()},
             "depth_max": {name: figures["depth_max"] for name, figures in sensed.items()},
             "seconds": seconds,
+            "evidence": {sequence.name: found[sequence.name] for sequence in self.sequences if found},
         }
+
+    def _find(self, loop: int, sensor: DepthSensor) -> dict[str, Any]:
+        gap = 1 if self.refiner is None else self.refiner.settings.frame_gap
+        return evidence(self._result(loop, sensor.sequence), sensor, gap)
 
     def _sensor(self, loop: int, sequence: Sequence) -> DepthSensor:
         return DepthSensor(
@@ -262,24 +306,29 @@ class SelfImprovingLoop:
             return self.refiner.refine(self.estimator, supervised, self.store, loop, self.monitor)
 
         resumed = self.store.is_done(step_name(loop, "refine"))
-        unrefined = {name: value.clone() for name, value in self.estimator.state_dict().items()}
         training = self.store.step(step_name(loop, "refine"), work)
         if training is None:
             return None, "No keyframe of SLAM had neighbours on both sides, so there was nothing to learn from."
         before, after = training["held_out_before"], training["held_out_after"]
-        reason = stop_reason(before, after, self.settings.min_improvement)
+        # Where the held-out loss does not decide, it must still be finite.
+        least = None if self.settings.criterion == "slam" else self.settings.min_improvement
+        reason = stop_reason(before, after, least)
         if before is not None and after is not None:
             self.monitor.say(f"  refined on {training['samples']} keyframes: held-out loss {before:.5f} -> {after:.5f}")
-        if reason:
-            self.estimator.load_state_dict(unrefined)
-        elif resumed:
+        if not reason and resumed:
             self.estimator.load_weights(weights)
         return training, reason
 
     def _result(self, loop: int, sequence: Sequence) -> SlamResult:
         return load_slam_result(self.store.loop(loop, "slam", sequence.name, "result.npz"))
 
-    def _keep_best(self) -> None:
+    def _keep_best(self, loop: int) -> None:
+        """Go back to the network that SLAM ran with in the best loop, and keep it."""
+        if loop == 0:
+            self.estimator.load_state_dict(self._first_weights)
+        else:
+            self.estimator.load_weights(self.store.loop(loop - 1, "weights"))
+
         def work() -> None:
             with self.store.new_folder(self.store.path("weights")) as folder:
                 self.estimator.save_weights(folder)
@@ -300,22 +349,3 @@ def describe_depth(figures: Mapping[str, Any]) -> str:
 def step_name(loop: int, *parts: str) -> str:
     """Return the name of a step of a loop in the store."""
     return "/".join(("loops", f"{loop:02d}", *parts))
-
-
-def stop_reason(before: float | None, after: float | None, min_improvement: float | None) -> str:
-    """Return why the loop should stop after a refinement, "" to go on; no label is needed to decide.
-
-    Args:
-        before: Loss on held-out keyframes with the weights that SLAM ran with.
-        after: The same with the refined weights.
-        min_improvement: Fraction by which the loss must drop; None accepts any finite loss.
-    """
-    if before is None or after is None or not math.isfinite(before) or not math.isfinite(after):
-        return "The held-out loss was not finite after the refinement, so the weights from before are kept."
-    if min_improvement is None or before - after > min_improvement * abs(before):
-        return ""
-    drop = 100 * (before - after) / max(abs(before), 1e-12)
-    return (
-        f"No improvement: refinement changed the held-out loss from {before:.5f} to {after:.5f} ({drop:.2f} % lower, "
-        f"{100 * min_improvement:g} % asked for), so the weights from before are kept."
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from prgbd.core.errors import DataError
 from prgbd.core.files import atomic_path
 from prgbd.report import tables
 from prgbd.report.paper import published_ablation
-from prgbd.report.reading import Run, mean_pose, open_run, sum_pose
+from prgbd.report.reading import Run, kept_loops, mean_pose, open_run, sum_pose
 from prgbd.report.tables import Cell, Column, Table
 from prgbd.report.words import depth_basis
 
@@ -87,8 +86,8 @@ def ablation_table(folder: Path | str) -> Table:
     return table.without_empty_columns()
 
 
-def _cells(summary: Mapping[str, Any]) -> list[Cell]:
-    loops = summary.get("loops") or []
+def _cells(summary: dict[str, Any]) -> list[Cell]:
+    loops = kept_loops(summary)
     if not loops:
         return [0, None, None, None, None, *[None] * len(tables.DEPTH_TITLES)]
     first, last = loops[0], loops[-1]
@@ -116,7 +115,7 @@ def _note(runs: list[Run], with_paper: bool) -> str:
         for loop in run.loops
         if (loop.get("depth") or {}).get("images")
     }
-    parts = ["First: before any refinement; last: after the last loop."]
+    parts = ["First: before any refinement; last: after the last loop that is kept."]
     if kinds:
         parts.append(f"ATE RMSE, alignment {' and '.join(sorted(kinds))}, mean over sequences.")
     if protocols:

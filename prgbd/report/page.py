@@ -87,11 +87,11 @@ def _header(run: Run, title: str) -> str:
 
 def _cards(run: Run) -> str:
     cards = [
-        _change_card("Pose error", pose_change(run.summary), len(run.loops)),
-        _change_card("Depth error", depth_change(run.summary), len(run.loops)),
+        _change_card("Pose error", pose_change(run.summary), len(run.kept_loops)),
+        _change_card("Depth error", depth_change(run.summary), len(run.kept_loops)),
     ]
     if run.loops:
-        last = run.loops[-1]
+        last = run.kept_loops[-1]
         frames, tracked = sum_pose(last, "frames"), sum_pose(last, "tracked_frames")
         if frames:
             keyframes, points = sum_pose(last, "keyframes"), sum_pose(last, "points")

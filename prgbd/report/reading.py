@@ -52,6 +52,11 @@ class Run:
         return list(self.summary.get("loops") or [])
 
     @property
+    def kept_loops(self) -> list[dict[str, Any]]:
+        """The loops up to the one whose network and trajectory the run keeps."""
+        return kept_loops(self.summary)
+
+    @property
     def sequences(self) -> list[str]:
         """Names of the sequences: those of the summary, and any that only the loops know."""
         names = list(self.summary.get("sequences") or [])
@@ -154,6 +159,14 @@ def read_losses(path: Path) -> dict[str, NDArray[np.float64]]:
     return dict(zip(header, table.reshape(-1, len(header)).T, strict=True))
 
 
+def kept_loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the loops up to the one that ``stop.best_loop`` names; all of them where it names none."""
+    loops = list(summary.get("loops") or [])
+    best = (summary.get("stop") or {}).get("best_loop")
+    at = [row for row, loop in enumerate(loops) if loop.get("loop") == best]
+    return loops[: at[0] + 1] if at and best is not None else loops
+
+
 def mean_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = None) -> float | None:
     """Return the mean of a pose figure over the sequences that have it (or over ``sequences``), None without any."""
     pose = loop.get("pose") or {}
@@ -177,5 +190,6 @@ def compared_sequences(first: dict[str, Any], last: dict[str, Any]) -> list[str]
 
 
 def loop_name(loop: dict[str, Any]) -> str:
-    """Return the loop's name, or ``loop k``."""
-    return str(loop.get("name") or f"loop {loop.get('loop', '?')}")
+    """Return the loop's name, or ``loop k``, and whether it was rolled back."""
+    name = str(loop.get("name") or f"loop {loop.get('loop', '?')}")
+    return f"{name}, rolled back" if loop.get("rolled_back") else name

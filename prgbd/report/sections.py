@@ -138,7 +138,7 @@ def _align(
 
 def depth_section(run: Run, width: int, most: int) -> str:
     """Return depth maps before and after beside image and truth, as pictures no wider than ``width`` pixels."""
-    found = [(run.label(loop), run.samples(loop)) for loop in run.loops]
+    found = [(run.label(loop), run.samples(loop)) for loop in run.kept_loops]
     known = [(label, samples) for label, samples in found if samples is not None and len(samples.keys)]
     chosen = known if len(known) < 2 else [known[0], known[-1]]
     rows = pictures.depth_rows(chosen, most)

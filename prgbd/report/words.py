@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from prgbd.report.reading import compared_sequences, loop_name, mean_pose, sum_pose
+from prgbd.report.reading import compared_sequences, kept_loops, loop_name, mean_pose, sum_pose
 
 SAME = 0.01  # a change below 1 % is called no change
 ALIGNMENT_WORDS = {"sim3": "Sim3 alignment", "se3": "SE3 alignment", "none": "no alignment"}
@@ -18,7 +18,7 @@ class Change:
 
     Attributes:
         before: The first loop's value.
-        after: The last loop's value; equal to ``before`` in a run of one loop.
+        after: The value of the loop that the run keeps; equal to ``before`` where that is the first.
         basis: What the figure is and rests on, e.g. ``ATE RMSE, Sim3 alignment, 150/150 frames``.
         unit: ``" m"`` or empty.
     """
@@ -57,8 +57,8 @@ def frames_text(loop: dict[str, Any], sequences: list[str]) -> str:
 
 
 def pose_change(summary: dict[str, Any]) -> Change | None:
-    """Return the change of the mean ATE RMSE over the sequences that have one in the first and the last loop."""
-    loops = summary.get("loops") or []
+    """Return the change of the mean ATE RMSE over the sequences that have one in the first and the kept loop."""
+    loops = kept_loops(summary)
     if not loops:
         return None
     first, last = loops[0], loops[-1]
@@ -78,10 +78,11 @@ def pose_change(summary: dict[str, Any]) -> Change | None:
 
 
 def depth_change(summary: dict[str, Any]) -> Change | None:
-    """Return the change of Abs Rel between the first and the last loop that have depth figures."""
-    loops = [d for d in (loop.get("depth") for loop in summary.get("loops") or []) if d]
+    """Return the change of Abs Rel between the first loop and the kept one, as far as they have depth figures."""
+    kept = kept_loops(summary)
+    loops = [d for d in (loop.get("depth") for loop in kept) if d]
     loops = [d for d in loops if d.get("abs_rel") is not None]
-    if not loops or (len(loops) == 1 and len(summary["loops"]) > 1):
+    if not loops or (len(loops) == 1 and len(kept) > 1):
         return None  # nothing to compare: "stayed the same" would be untrue
     return Change(float(loops[0]["abs_rel"]), float(loops[-1]["abs_rel"]), depth_basis(loops[-1]))
 
@@ -106,6 +107,7 @@ def describe(summary: dict[str, Any]) -> list[str]:
     if not loops:
         return ["The run has not finished a loop yet."]
     pose, depth = pose_change(summary), depth_change(summary)
+    loops = kept_loops(summary)
     sentences = []
     if len(loops) == 1:
         sentences += _one_loop(loops[0], pose, depth)

@@ -67,6 +67,33 @@ def test_the_loop_leaves_the_whole_folder(run, real_report):
     assert np.array_equal(samples[0]["frame_index"], samples[2]["frame_index"])
 
 
+def test_a_loop_that_slam_calls_worse_is_rolled_back(run, monkeypatch, real_report):
+    """The refinement's own loss falls, yet nothing that SLAM made of the network got better."""
+    from prgbd.loop import self_improving
+
+    real = self_improving.evidence
+
+    def spoilt(result, sensor, gap):
+        found = real(result, sensor, gap)
+        spoilt.calls += 1
+        worse = 1.0 if spoilt.calls < 3 else 2.0
+        return {**found, "photometric": {k: worse * v for k, v in found["photometric"].items()}}
+
+    spoilt.calls = 0
+    monkeypatch.setattr(self_improving, "evidence", spoilt)
+    summary = run("task.max_loops=3", "task.criterion=both", "data.frames=20")
+    assert [loop.get("rolled_back", False) for loop in summary["loops"]] == [False, False, True]
+    assert summary["stop"]["best_loop"] == 1
+    assert "Loop 2 is rolled back" in summary["stop"]["reason"]
+    assert summary["loops"][2]["criterion"]["compared_with"] == 1
+    assert summary["loops"][2]["criterion"]["index"] > 1
+    assert Path("run/weights/model.pth").read_bytes() == Path("run/loops/00/weights/model.pth").read_bytes()
+    page = Path("run/report.html").read_text()
+    assert "Over 1 loop the" in page
+    assert "Loop 2 is rolled back" in page
+    assert "pRGBD-Refined (2), rolled back" in page
+
+
 def test_no_improvement_stops_and_goes_back_to_the_better_weights(run):
     import torch
 

@@ -1,0 +1,133 @@
+"""What a SLAM run says of the network whose depth it used, without any label."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Many
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from prgbd.core.types import DepthPrediction, SlamResult
+from prgbd.loop.depth_figures import evenly
+from prgbd.loop.sensing import DepthSensor
+from prgbd.training.losses import photometric_loss
+from prgbd.training.supervision import clean_observations, points_in_camera, reprojection_errors
+
+FRAMES = 32
+"""Frames per recording whose photometric error is taken."""
+_LEAST_PARALLAX = np.sin(np.radians(1.0))
+_FEWEST_POINTS = 10
+
+Floats = NDArray[np.float64]
+
+
+def evidence(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dict[str, Any]:
+    """Measure how well depth, poses and images of one recording fit together; all of it is free of scale.
+
+    Args:
+        result: What SLAM made of the recording with the network's depth.
+        sensor: The network on the recording.
+        frame_gap: Frames between an image and those that are warped to it.
+
+    Returns:
+        ``tracked``: share of the frames with a pose; ``maps``: unconnected maps; ``inliers``: mean inlier matches of a
+        tracked frame; ``reprojection``: median reprojection error, pixels; ``disagreement``: see ``disagreement``;
+        ``scale_wander``: standard deviation of the logarithm of the scale between network and map over keyframes;
+        ``photometric``: per frame, by number, the photometric error (pre-training's, without mask) of its neighbours
+        warped by the network's depth and SLAM's poses. None where there is nothing to measure.
+    """
+    tracked = result.inliers[np.asarray([str(state) == "ok" for state in result.states], bool)]
+    errors = reprojection_errors(result.camera, result.keyframes, result.points, clean_observations(result))
+    within, between = disagreement(result)
+    return {
+        "tracked": len(result.trajectory) / max(result.frames, 1),
+        "maps": len(np.unique(result.keyframes.map_id)),
+        "inliers": float(np.mean(tracked)) if len(tracked) else None,
+        "reprojection": float(np.median(errors)) if len(errors) else None,
+        "disagreement": within,
+        "scale_wander": between,
+        "photometric": photometric_errors(result, sensor, frame_gap),
+    }
+
+
+def triangulated(result: SlamResult) -> tuple[Floats, NDArray[np.bool_]]:
+    """Find every map point again from SLAM's poses and the pixels of its keypoints alone, without any depth.
+
+    Returns:
+        (P, 3) points nearest to their rays, and (P,) which of them are seen from three keyframes with a parallax of a
+        degree or more (root mean square over the rays).
+    """
+    seen = result.observations
+    rays = result.camera.backproject(seen.uv, np.ones(len(seen)))
+    wTc = result.keyframes.wTc[seen.keyframe]
+    direction = np.einsum("mij,mj->mi", wTc[:, :3, :3], rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    count = len(result.points)
+    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(matrix, seen.point, across)
+    np.add.at(right, seen.point, np.einsum("mij,mj->mi", across, wTc[:, :3, 3]))
+    views = np.bincount(seen.point, minlength=count)
+    spread = np.linalg.eigvalsh(matrix)[:, 0] / np.maximum(views, 1)
+    good = (views >= 3) & (spread > _LEAST_PARALLAX**2)
+    points = np.full((count, 3), np.nan)
+    points[good] = np.linalg.solve(matrix[good], right[good][:, :, None])[:, :, 0]
+    return points, good
+
+
+def disagreement(result: SlamResult) -> tuple[float | None, float | None]:
+    """Compare the network's depth with triangulated depth at the keypoints of all keyframes.
+
+    Triangulation (``triangulated``) takes nothing but poses and pixels, so that a map that simply follows the network's
+    depth does not count as agreement.
+
+    Returns:
+        The mean absolute difference of the logarithms after the median of each keyframe is taken out, and the standard
+        deviation of those medians; None without points.
+    """
+    seen = clean_observations(result)
+    points, good = triangulated(result)
+    use = good[seen.point] & (seen.depth > 0)
+    keyframe, measured = seen.keyframe[use], seen.depth[use].astype(np.float64)
+    depth = points_in_camera(result.keyframes.wTc[keyframe], points[seen.point[use]])[:, 2]
+    ahead = depth > 0
+    keyframe, ratio = keyframe[ahead], np.log(measured[ahead] / depth[ahead])
+    residuals, medians = [], []
+    for row in np.unique(keyframe):
+        values = ratio[keyframe == row]
+        if len(values) >= _FEWEST_POINTS:
+            medians.append(float(np.median(values)))
+            residuals.append(np.abs(values - medians[-1]))
+    if not residuals:
+        return None, None
+    return float(np.mean(np.concatenate(residuals))), float(np.std(medians))
+
+
+def photometric_errors(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dict[str, float]:
+    """Return the photometric error of evenly spaced frames, the same in every loop, that have their neighbours' poses.
+
+    Keyframes are left out, for the network learns from them.
+    """
+    pose = dict(zip(result.trajectory.frame_index.tolist(), result.trajectory.wTc, strict=True))
+    keyframes = set(result.keyframes.frame_index.tolist())
+    errors = {}
+    for frame in evenly(len(sensor), FRAMES).tolist():
+        neighbours = [frame - frame_gap, frame + frame_gap]
+        if frame not in keyframes and all(index in pose for index in (frame, *neighbours)):
+            sTt = [np.linalg.inv(pose[index]) @ pose[frame] for index in neighbours]
+            errors[str(frame)] = _photometric_error(sensor, frame, neighbours, sTt)
+    return errors
+
+
+def _photometric_error(sensor: DepthSensor, frame: int, neighbours: Many[int], sTt: Many[Floats]) -> float:
+    estimator, sequence = sensor.estimator, sensor.sequence
+    height, width = estimator.input_size
+    target, *sources = (estimator.preprocess(sequence.frame(i).image).cpu()[None] for i in (frame, *neighbours))
+    inverse = cv2.resize(1 / sensor.depth(frame), (width, height), interpolation=cv2.INTER_AREA)
+    K = torch.from_numpy(sequence.camera.resized(width, height).K).float()[None]
+    transforms = [torch.from_numpy(T).float()[None] for T in sTt]
+    prediction = DepthPrediction((torch.from_numpy(1 / inverse)[None, None],))
+    with torch.inference_mode():
+        return float(photometric_loss(prediction, target, sources, K, transforms, automask=False))

@@ -1,0 +1,125 @@
+"""What SLAM says of a network without labels, on a world whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prgbd.core.types import Trajectory
+from prgbd.loop.criterion import LOST_SHARE, compare
+from prgbd.loop.evidence import disagreement, evidence, photometric_errors, triangulated
+from tests.training.scenes import WallSequence, true_slam_result
+
+
+class Known:
+    """A sensor with a depth of its own making."""
+
+    def __init__(self, sequence, depth=lambda index, true: true):
+        from tests.training.test_refinement import TiltNet
+
+        self.sequence, self.estimator, self._depth = sequence, TiltNet(), depth
+
+    def __len__(self):
+        return len(self.sequence)
+
+    def depth(self, index):
+        return self._depth(index, self.sequence.depth(index)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def world():
+    sequence = WallSequence(24, step=0.25)
+    return sequence, true_slam_result(sequence)
+
+
+def measured(result, depth):
+    """The same result with other measurements of depth at the keypoints."""
+    return replace(result, observations=replace(result.observations, depth=depth.astype(np.float32)))
+
+
+def test_points_are_found_again_without_any_depth(world):
+    _, result = world
+    points, good = triangulated(result)
+    assert good.mean() > 0.5
+    np.testing.assert_allclose(points[good], result.points.xyz[good], atol=0.02)
+    assert np.isnan(points[~good]).all()
+
+
+def test_disagreement_sees_shape_and_not_scale(world):
+    _, result = world
+    depth = result.observations.depth.astype(float)
+    within, between = disagreement(result)
+    assert within < 2e-3
+    assert between < 2e-3
+    scaled = disagreement(measured(result, 0.3 * depth))
+    assert scaled[0] == pytest.approx(within, abs=1e-6)
+    per_keyframe = np.exp(0.2 * (result.observations.keyframe % 2))
+    wandering = disagreement(measured(result, depth * per_keyframe))
+    assert wandering[0] == pytest.approx(within, abs=1e-6)
+    assert wandering[1] == pytest.approx(0.1, rel=0.05)
+    noise = np.random.default_rng(0).normal(0, 0.1, len(depth))
+    assert disagreement(measured(result, depth * np.exp(noise)))[0] == pytest.approx(0.08, rel=0.1)
+
+
+def test_a_map_that_follows_wrong_depth_does_not_count_as_agreement(world):
+    """Squeezed depth with points moved along their rays to match: the map agrees with it, triangulation does not."""
+    _, result = world
+    squeezed = 5 * (result.observations.depth.astype(float) / 5) ** 0.5
+    assert disagreement(measured(result, squeezed))[0] > 10 * disagreement(result)[0]
+
+
+def test_photometric_error_is_lowest_at_the_truth_and_ignores_a_common_scale(world):
+    sequence, result = world
+    true = photometric_errors(result, Known(sequence), 2)
+    wrong = photometric_errors(result, Known(sequence, lambda i, d: 5 * (d / 5) ** 0.3), 2)
+    assert set(true) == set(wrong)
+    assert not set(map(int, true)) & set(result.keyframes.frame_index.tolist())
+    assert np.mean(list(wrong.values())) > 1.15 * np.mean(list(true.values()))
+    wTc = result.trajectory.wTc.copy()
+    wTc[:, :3, 3] *= 3
+    scaled = replace(result, trajectory=replace(result.trajectory, wTc=wTc))
+    both = photometric_errors(scaled, Known(sequence, lambda i, d: 3 * d), 2)
+    np.testing.assert_allclose(list(both.values()), list(true.values()), rtol=1e-3)
+
+
+def test_frames_without_poses_are_left_out(world):
+    sequence, result = world
+    short = result.trajectory
+    short = Trajectory(short.frame_index[:10], short.timestamp[:10], short.wTc[:10])
+    found = evidence(replace(result, trajectory=short), Known(sequence))
+    assert found["tracked"] == pytest.approx(10 / 24)
+    assert max(map(int, found["photometric"])) < 9
+    assert found["maps"] == 1
+
+
+def entry(photometric=0.1, disagreement=0.1, tracked=1.0, frames=("3", "7")):
+    return {"a": {"photometric": dict.fromkeys(frames, photometric), "disagreement": disagreement, "tracked": tracked}}
+
+
+@pytest.mark.parametrize(
+    ("now", "index", "better"),
+    [
+        (entry(), 1.0, False),
+        (entry(photometric=0.09), 0.9**0.5, True),
+        (entry(photometric=0.11, disagreement=0.05), (1.1 * 0.5) ** 0.5, True),
+        (entry(photometric=0.09, disagreement=0.12), (0.9 * 1.2) ** 0.5, False),
+        (entry(photometric=0.05, tracked=1 - 1.1 * LOST_SHARE), 0.5**0.5, False),
+        (entry(photometric=0.05, tracked=1 - 0.9 * LOST_SHARE), 0.5**0.5, True),
+        (entry(disagreement=None, photometric=0.2), 2.0, False),
+        (entry(frames=("9",), disagreement=0.05), 0.5, True),
+        (entry(frames=(), disagreement=None), None, True),
+    ],
+)
+def test_verdict(now, index, better):
+    verdict = compare(entry(), now)
+    assert verdict.better == better
+    assert verdict.index == (None if index is None else pytest.approx(index))
+    assert "->" in verdict.sentence() or index is None
+    assert verdict.to_dict()["better"] == better
+
+
+def test_verdict_asks_for_as_much_as_it_is_told():
+    assert compare(entry(), entry(disagreement=0.08, photometric=0.08), 0.1).better
+    assert not compare(entry(), entry(disagreement=0.08, photometric=0.08), 0.3).better
