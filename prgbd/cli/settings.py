@@ -211,7 +211,7 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
         min_improvement=number(
             {"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement", optional=True
         ),
-        criterion=str(config["task"].get("criterion", "both")),
+        criterion=str(config["task"].get("criterion", "held_out")),
         patience=_whole(number({"task": {"patience": 0} | config["task"]}, "task.patience"), "task.patience"),
         baseline=baseline,
         running_baseline=(config.get("slam") or {}).get("baseline") == "running",

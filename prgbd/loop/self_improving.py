@@ -59,7 +59,7 @@ class LoopSettings:
 
     max_loops: int = 3
     min_improvement: float | None = 0.0
-    criterion: str = "both"
+    criterion: str = "held_out"
     patience: int = 0
     baseline: float | None = None
     running_baseline: bool = False
