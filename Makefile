@@ -23,7 +23,12 @@ setup: $(STAMP)  ## Make .venv and install prgbd with its tools into it
 demo: $(STAMP)  ## Run the self-improving loop on a held-out synthetic world and write a report
 	$(BIN)/python -m prgbd +slam=orb_gtsam +depth=monodepth2 experiment=demo
 
-test: $(STAMP)  ## Run the tests
+# No test is left out for want of an extra: about 300 MB of downloads, small beside PyTorch. The demo does without them.
+$(VENV)/.extras: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,colmap,docs,hf,viz]'
+	@touch $@
+
+test: $(VENV)/.extras  ## Run the tests, after adding all extras
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 lint: $(STAMP)  ## Check style and the direction of imports
