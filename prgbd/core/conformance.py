@@ -261,10 +261,8 @@ class _SlamChecks:
         modes = [mode for mode in sorted(self.system.modes) if mode in MODES]
         if self.given is not None and self.given[0].right is None:
             modes = [mode for mode in modes if mode != "stereo"]
-        own: type[GeometricSLAM] = type(
-            getattr(self.system, "unwrapped", self.system)
-        )  # the passive checks may be around it
-        saves = bool(modes) and own.save_map is not GeometricSLAM.save_map
+        plain: GeometricSLAM = getattr(self.system, "unwrapped", self.system)  # the passive checks may be around it
+        saves = bool(modes) and type(plain).save_map is not GeometricSLAM.save_map
         # Not every scene lets a monocular system start, so the map is made in a mode with depth where there is one.
         maps = sorted(modes, key=lambda mode: mode == "mono")[:1] if saves else []
         return [
