@@ -140,7 +140,7 @@ def measure(source: Source, slam: dict[str, Any], seed: int, label: str = "slam"
     """Run SLAM once over all frames; reading frames is not counted."""
     seconds: list[float] = []
     cpu: list[float] = []
-    _forget_peak()
+    forget_peak()
     with _made(source, slam, seed) as system:
         with tqdm(total=len(source.positions), desc=label, disable=not sys.stderr.isatty(), leave=False) as bar:
             for block in source.blocks():
@@ -153,17 +153,17 @@ def measure(source: Source, slam: dict[str, Any], seed: int, label: str = "slam"
         start = time.perf_counter()
         result = system.finish()
         ended = time.perf_counter() - start
-    return Measured(result, np.array(seconds), np.array(cpu), ended, _peak_mib())
+    return Measured(result, np.array(seconds), np.array(cpu), ended, peak_mib())
 
 
-def _forget_peak() -> None:
+def forget_peak() -> None:
     """Let the peak of memory start anew, where Linux allows it; elsewhere it is that of the process so far."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def _peak_mib() -> float:
-    """Peak resident memory of the process, MiB: since ``_forget_peak`` where /proc tells it."""
+def peak_mib() -> float:
+    """Peak resident memory of the process, MiB: since ``forget_peak`` where /proc tells it."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):
