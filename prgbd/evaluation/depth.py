@@ -155,7 +155,9 @@ class DepthEvaluation:
         self._images: dict[float, list[dict[str, float]]] = {self.cap[1]: [], **{float(c): [] for c in caps}}
         self._caps = [float(c) for c in caps]
         self._bins = np.asarray(bins, np.float64)
-        self._bin_sums = np.zeros((3, max(0, len(bins) - 1)))  # pixels, sum |d|/gt, sum d^2
+        self._bin_sums = np.zeros((4, max(0, len(bins) - 1)))  # pixels, sum |d|/gt, sum d^2, sum d^2/gt
+        self._halves = np.array([self.cap[0], self.cap[1] / 2, self.cap[1]])
+        self._half_sums = np.zeros((4, 2))
         self._seen = 0
 
     def add(self, gt: NDArray[np.float32], pred: NDArray[np.float32]) -> dict[str, float] | None:
@@ -170,19 +172,13 @@ class DepthEvaluation:
             images.append({**depth_metrics(truth, prediction), "scale": ratio})
             if farthest == self.cap[1]:
                 headline = images[-1]
-                self._add_bins(truth, prediction)
+                self._bin_sums += _sums_by_depth(truth, prediction, self._bins)
+                self._half_sums += _sums_by_depth(truth, prediction, self._halves)
         return headline
 
     def skip(self) -> None:
         """Count an image that has no true depth."""
         self._seen += 1
-
-    def _add_bins(self, truth: NDArray[np.float64], prediction: NDArray[np.float64]) -> None:
-        if not len(self._bins):
-            return
-        difference = truth - prediction
-        for row, weights in enumerate((np.ones_like(truth), np.abs(difference) / truth, difference**2)):
-            self._bin_sums[row] += np.histogram(truth, self._bins, weights=weights)[0]
 
     def result(self) -> dict[str, Any]:
         """Return the means over images as plain numbers (keys: docs/summary-schema.md)."""
@@ -206,18 +202,42 @@ class DepthEvaluation:
                 for cap in self._caps
             ]
         if len(self._bins):
-            out["by_depth"] = [self._bin(i) for i in range(len(self._bins) - 1)]
+            out["by_depth"] = _by_depth(self._bins, self._bin_sums)
+        # Both halves of the cap under the one scale of each image: a gain of the far half is not a change of scale.
+        out["near"], out["far"] = _by_depth(self._halves, self._half_sums)
         return out
 
-    def _bin(self, index: int) -> dict[str, Any]:
-        pixels, relative, squared = self._bin_sums[:, index]
-        return {
-            "from": float(self._bins[index]),
-            "to": float(self._bins[index + 1]),
-            "pixels": int(pixels),
-            "abs_rel": float(relative / pixels) if pixels else None,
-            "rmse": float(np.sqrt(squared / pixels)) if pixels else None,
-        }
+
+def _sums_by_depth(
+    truth: NDArray[np.float64], prediction: NDArray[np.float64], edges: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sum up the errors of aligned pixels by their true depth.
+
+    Returns:
+        (4, len(edges) - 1): pixels and the sums of |d| / gt, d^2 and d^2 / gt; (4, 0) without edges.
+    """
+    if not len(edges):
+        return np.zeros((4, 0))
+    difference = truth - prediction
+    rows = (np.ones_like(truth), np.abs(difference) / truth, difference**2, difference**2 / truth)
+    return np.stack([np.histogram(truth, edges, weights=weights)[0] for weights in rows])
+
+
+def _by_depth(edges: NDArray[np.float64], sums: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Turn the sums of ``_sums_by_depth`` into errors, one entry per range of depth."""
+    entries = []
+    for i, (pixels, relative, squared, squared_relative) in enumerate(sums.T):
+        entries.append(
+            {
+                "from": float(edges[i]),
+                "to": float(edges[i + 1]),
+                "pixels": int(pixels),
+                "abs_rel": float(relative / pixels) if pixels else None,
+                "sq_rel": float(squared_relative / pixels) if pixels else None,
+                "rmse": float(np.sqrt(squared / pixels)) if pixels else None,
+            }
+        )
+    return entries
 
 
 def _mean(images: list[dict[str, float]], name: str) -> float | None:

@@ -173,6 +173,26 @@ def test_caps_and_bins_come_from_the_same_predictions():
     assert {n: near[n] for n in METRICS} == {n: alone[n] for n in METRICS}
 
 
+def test_near_and_far_pixels_share_one_scale():
+    def far_too_far(image):
+        depth = perfect(image)
+        return np.where(depth >= 40, depth * 1.1, depth).astype(np.float32) * 3
+
+    truth = Ramp(1).depth(0)
+    mask = (truth > 1e-3) & (truth < 80)
+    scale = np.median(truth[mask]) / np.median(far_too_far(Ramp(1).frame(0).image)[mask])
+    found = evaluate_depth(far_too_far, Ramp(1))
+    for half, pixels in (("near", mask & (truth < 40)), ("far", mask & (truth >= 40))):
+        gt = truth[pixels].astype(np.float64)
+        pred = np.clip(far_too_far(Ramp(1).frame(0).image)[pixels] * scale, 1e-3, 80)
+        assert found[half]["pixels"] == pixels.sum() > 0
+        assert np.isclose(found[half]["sq_rel"], np.mean((gt - pred) ** 2 / gt))
+        assert np.isclose(found[half]["abs_rel"], np.mean(np.abs(gt - pred) / gt))
+    assert found["near"]["to"] == found["far"]["from"] == 40
+    total = sum(found[half]["sq_rel"] * found[half]["pixels"] for half in ("near", "far"))
+    assert np.isclose(total / mask.sum(), found["sq_rel"])
+
+
 def test_no_truth_gives_none_and_a_reason():
     found = evaluate_depth(perfect, Ramp(), indices=[2, 5], caps=[50], bins=[0, 80])
     assert found["abs_rel"] is None
