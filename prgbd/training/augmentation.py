@@ -30,7 +30,9 @@ def mirrored(batch: RefinementBatch, which: Tensor) -> RefinementBatch:
     signs = torch.where(which[:, None, None, None], sign, torch.ones_like(sign))
     uv = batch.uv.clone()
     uv[..., 0] = torch.where(which[:, None, None], width - 1 - uv[..., 0], uv[..., 0])
-    return batch._replace(images=images, K=K, aTc=batch.aTc * signs, kTc=batch.kTc * signs, uv=uv)
+    seen_uv = batch.seen_uv.clone()
+    seen_uv[..., 0] = torch.where(which[:, None], width - 1 - seen_uv[..., 0], seen_uv[..., 0])
+    return batch._replace(images=images, K=K, aTc=batch.aTc * signs, kTc=batch.kTc * signs, uv=uv, seen_uv=seen_uv)
 
 
 def jittered(images: Tensor, which: Tensor, generator: torch.Generator) -> Tensor:

@@ -208,6 +208,8 @@ def _supervision(result: SlamResult, settings: RefinementSettings) -> Supervisio
         keyframe_gap=settings.keyframe_gap,
         frame_gap=settings.frame_gap,
         min_common_points=settings.min_common_points,
+        consistency_points=settings.consistency_points,
+        min_parallax=settings.min_parallax,
     )
 
 

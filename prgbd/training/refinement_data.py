@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import DataLoader, Dataset
 
 from prgbd.core.data import Sequence
@@ -34,6 +35,9 @@ class RefinementBatch(NamedTuple):
         uv: (B, 3, N, 2) float32 keypoints in c, k1 and k2, pixels of the images.
         depth: (B, 3, N) float32 depth by SLAM in c, k1 and k2.
         mask: (B, N) bool, real points; the rest is padding.
+        seen_uv: (B, M, 2) float32 the points that teach c's own depth, pixels of the images.
+        seen_depth: (B, M) float32 their depth by SLAM in c.
+        seen_mask: (B, M) bool, the real ones.
     """
 
     images: Tensor
@@ -43,6 +47,9 @@ class RefinementBatch(NamedTuple):
     uv: Tensor
     depth: Tensor
     mask: Tensor
+    seen_uv: Tensor
+    seen_depth: Tensor
+    seen_mask: Tensor
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,9 @@ class SupervisedImages:
             uv=torch.from_numpy(resized_pixels(sample.uv, self.supervision.camera, self.camera)),
             depth=torch.from_numpy(sample.depth * np.float32(self.scale)),
             mask=torch.ones(len(sample.point), dtype=torch.bool),
+            seen_uv=torch.from_numpy(resized_pixels(sample.seen_uv, self.supervision.camera, self.camera)),
+            seen_depth=torch.from_numpy(sample.seen_depth * np.float32(self.scale)),
+            seen_mask=torch.ones(len(sample.seen_depth), dtype=torch.bool),
         )
 
 
@@ -122,21 +132,22 @@ def needed_frames(supervision: Supervision) -> NDArray[np.int64]:
 
 def collate(samples: Many[RefinementBatch]) -> RefinementBatch:
     """Stack samples, padding their points to the longest."""
-    longest = max(s.mask.shape[0] for s in samples)
 
-    def padded(tensor: Tensor, dim: int) -> Tensor:
-        shape = list(tensor.shape)
-        shape[dim] = longest - shape[dim]
-        return torch.cat([tensor, tensor.new_zeros(shape)], dim=dim)
+    def padded(name: str, dim: int) -> Tensor:
+        tensors = [getattr(s, name).movedim(dim, 0) for s in samples]
+        return pad_sequence(tensors, batch_first=True).movedim(1, dim + 1)
 
     return RefinementBatch(
         images=torch.stack([s.images for s in samples]),
         K=torch.stack([s.K for s in samples]),
         aTc=torch.stack([s.aTc for s in samples]),
         kTc=torch.stack([s.kTc for s in samples]),
-        uv=torch.stack([padded(s.uv, 1) for s in samples]),
-        depth=torch.stack([padded(s.depth, 1) for s in samples]),
-        mask=torch.stack([padded(s.mask, 0) for s in samples]),
+        uv=padded("uv", 1),
+        depth=padded("depth", 1),
+        mask=padded("mask", 0),
+        seen_uv=padded("seen_uv", 0),
+        seen_depth=padded("seen_depth", 0),
+        seen_mask=padded("seen_mask", 0),
     )
 
 

@@ -24,20 +24,22 @@ from prgbd.training.warping import invert_rigid
 _BATCHNORM = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d, nn.SyncBatchNorm)
 
 
-def points_at(batch: RefinementBatch, depth: Tensor, view: int) -> tuple[Tensor, Tensor]:
+def points_at(batch: RefinementBatch, depth: Tensor, view: int | None) -> tuple[Tensor, Tensor]:
     """Return keypoints of a view, (B, N, 2), and intrinsics, (B, 3, 3), at the size of a depth map.
 
-    A network's finest depth map need not have the size of its input.
+    The view None stands for the points of c that teach its own depth. A network's finest depth map need not have the
+    size of its input.
     """
+    uv = batch.seen_uv if view is None else batch.uv[:, view]
     height, width = depth.shape[-2:]
     size = batch.images.shape[-2:]
     if (height, width) == tuple(size):
-        return batch.uv[:, view], batch.K
+        return uv, batch.K
     factor = batch.uv.new_tensor([width / size[1], height / size[0]])
     K = batch.K.clone()
     K[:, :2, :2] = K[:, :2, :2] * factor[:, None]
     K[:, :2, 2] = (K[:, :2, 2] + 0.5) * factor - 0.5
-    return (batch.uv[:, view] + 0.5) * factor - 0.5, K
+    return (uv + 0.5) * factor - 0.5, K
 
 
 class DepthRefinement(lightning.LightningModule):
@@ -104,9 +106,9 @@ class DepthRefinement(lightning.LightningModule):
             if weights["depth_consistency"]:
                 out["depth_consistency"] = depth_consistency(
                     current.depth.float(),
-                    points_at(batch, current.depth, 0)[0],
-                    batch.depth[:, 0],
-                    batch.mask,
+                    points_at(batch, current.depth, None)[0],
+                    batch.seen_depth,
+                    batch.seen_mask,
                     residual=self.settings.residual,
                 )
             if weights["depth_transfer"]:
@@ -131,8 +133,9 @@ class DepthRefinement(lightning.LightningModule):
                 matching=self.settings.matching,
                 reduction=self.settings.reduction,
                 residual=self.settings.residual,
+                anchors=(batch.depth[:, a], batch.depth[:, b]) if self.settings.anchored_transfer else None,
             )
-        return total
+        return total / 3 if self.settings.reduction == "average" else total
 
     def total(self, terms: Mapping[str, Tensor]) -> Tensor:
         """Weigh and add the terms."""

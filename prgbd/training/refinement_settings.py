@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 from prgbd.core.errors import ConfigError
 from prgbd.training.sparse_losses import MATCHINGS, REDUCTIONS, RESIDUALS
+from prgbd.training.supervision import CONSISTENCY_POINTS
 
 TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
 
@@ -29,6 +30,8 @@ class RefinementSettings:
         patch: Odd side of the patch around a keypoint that depth transfer compares, pixels of the network's input.
         matching: ``projected`` or ``offset``, which pixels of two patches are compared; see ``depth_transfer``.
         reduction: ``mean`` or ``sum`` over points and patch pixels in depth transfer; see ``depth_transfer``.
+            ``average`` is the mean over the three pairs of keyframes and both directions as well, so that the term
+            weighs as much as depth consistency and not six times as much.
         residual: ``absolute`` (the paper) or ``log``, how both sparse terms compare depths; see
             ``sparse_losses.difference``.
         automask: Leave out what looks the same without motion (Monodepth2).
@@ -47,6 +50,12 @@ class RefinementSettings:
         keyframe_gap: How many keyframes away the neighbouring keyframes are.
         frame_gap: How many frames away the temporally adjacent frames are.
         min_common_points: Points that a neighbouring keyframe should share with the current one.
+        consistency_points: ``common`` (the paper) or ``all``, which points depth consistency compares; see
+            ``supervision.keyframe_samples``.
+        min_parallax: Degrees under which SLAM must have seen a point; 0 limits its depth to what the sensor measured
+            instead. See ``supervision.keyframe_samples``.
+        anchored_transfer: Depth transfer moves patches whose middle has SLAM's depth instead of the predicted one; see
+            ``sparse_losses.depth_transfer``.
         memory_mb: Decoded images beyond this lie in a file instead of memory.
         channels_last: Memory layout of the network's images that convolutions are faster in on most processors.
         compile: Compile the network with ``torch.compile``: about a minute once, then faster steps.
@@ -81,6 +90,9 @@ class RefinementSettings:
     keyframe_gap: int = 1
     frame_gap: int = 1
     min_common_points: int = 20
+    consistency_points: str = "common"
+    min_parallax: float = 0.0
+    anchored_transfer: bool = False
     memory_mb: int = 1024
     channels_last: bool = True
     compile: bool = False
@@ -108,6 +120,11 @@ class RefinementSettings:
             raise ConfigError(f"training.matching is '{self.matching}'; choose one of {', '.join(MATCHINGS)}.")
         if self.residual not in RESIDUALS:
             raise ConfigError(f"training.residual is '{self.residual}'; choose one of {', '.join(RESIDUALS)}.")
+        if self.consistency_points not in CONSISTENCY_POINTS:
+            known = ", ".join(CONSISTENCY_POINTS)
+            raise ConfigError(f"training.consistency_points is '{self.consistency_points}'; choose one of {known}.")
+        if not 0 <= self.min_parallax < 90:
+            raise ConfigError(f"training.min_parallax is {self.min_parallax}; it must lie between 0 and 90 degrees.")
         if not 0 <= self.val_fraction <= 0.5:
             raise ConfigError(f"training.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")
 

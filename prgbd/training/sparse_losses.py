@@ -13,7 +13,7 @@ from torch import Tensor
 
 from prgbd.training.warping import NEAREST, invert_rigid
 
-REDUCTIONS = ("mean", "sum")
+REDUCTIONS = ("mean", "sum", "average")
 MATCHINGS = ("projected", "offset")
 RESIDUALS = ("absolute", "log")
 
@@ -121,6 +121,7 @@ def depth_transfer(
     matching: str = "projected",
     reduction: str = "mean",
     residual: str = "absolute",
+    anchors: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
     """Symmetric depth transfer between two keyframes a and b (paper eq. for T_{c<->k1}).
 
@@ -139,7 +140,14 @@ def depth_transfer(
 
     The paper sums over points and pixels, so that an image weighs more the more keypoints it has. ``mean`` divides by
     their number, which makes one weight mean the same for every image, sequence and patch size; ``sum`` is the literal
-    form. Gradients reach both depth maps. Pixels outside of either image are left out.
+    form. ``average`` also halves the sum of the two directions. Gradients reach both depth maps. Pixels outside of
+    either image are left out.
+
+    Two predictions may agree and both be wrong: on synthetic streets the term at the paper's weight makes depth flatter
+    and undoes most of what the photometric term and depth consistency gain. With ``anchors``, SLAM's depth of the
+    points, a patch is first multiplied by SLAM's over the predicted depth of its middle (without gradient), so its
+    *shape* is the network's and its distance SLAM's, and no gradient passes through the moved patch: each view learns
+    from the other's shape where SLAM says that it stands.
 
     Args:
         depths: (B, 1, H, W) predicted depth of a and of b.
@@ -149,8 +157,10 @@ def depth_transfer(
         mask: (B, N) bool, real points.
         patch: Odd side of the patch, pixels of the depth map.
         matching: ``projected`` or ``offset``.
-        reduction: ``mean`` or ``sum`` over the points and patch pixels of one image pair.
+        reduction: ``mean`` or ``sum`` over the points and patch pixels of one image pair, or ``average``, the mean over
+            both directions too.
         residual: ``absolute`` or ``log``, see ``difference``.
+        anchors: (B, N) depth of the points by SLAM in a and in b; None for the paper's form.
 
     Returns:
         Scalar, in the unit of the depth for ``absolute``: mean over the batch, where a pair without points counts 0.
@@ -158,6 +168,8 @@ def depth_transfer(
     total = depths[0].new_zeros(())
     for a, b, T in ((0, 1, bTa), (1, 0, invert_rigid(bTa))):
         patches = sample_patches(depths[a], uv[a], patch)
+        if anchors is not None:
+            patches = anchored(patches, anchors[a])
         moved = transferred(patches, K, T)
         if matching == "projected":
             there, inside = sample_depth(depths[b], matched_pixels(moved, uv[b], K))
@@ -165,7 +177,19 @@ def depth_transfer(
             _, there, inside = sample_patches(depths[b], uv[b], patch)
         used = mask[:, :, None] & patches.inside & inside
         total = total + _reduce(difference(moved[..., 2], there, residual), used, reduction)
-    return total
+    return total / 2 if reduction == "average" else total
+
+
+def anchored(patches: Patches, slam_depth: Tensor) -> Patches:
+    """Scale each patch such that its middle has SLAM's depth; without gradient.
+
+    Args:
+        patches: Predicted depth around keypoints.
+        slam_depth: (B, N) depth of the keypoints by SLAM, in the network's scale.
+    """
+    depth = patches.depth.detach()
+    middle = depth.shape[2] // 2
+    return patches._replace(depth=depth * (slam_depth[..., None] / depth[..., middle : middle + 1]))
 
 
 def difference(a: Tensor, b: Tensor, residual: str) -> Tensor:
@@ -211,6 +235,6 @@ def _reduce(error: Tensor, used: Tensor, reduction: str) -> Tensor:
     """Reduce (B, N, P) within each image over what is used, then average over the batch."""
     # torch.where, not a product: padding may hold anything, and 0 * nan would spoil the sum.
     total = torch.where(used, error, torch.zeros_like(error)).sum(dim=(1, 2))
-    if reduction == "mean":
+    if reduction != "sum":
         total = total / used.sum(dim=(1, 2)).clamp(min=1)
     return total.mean()

@@ -223,6 +223,8 @@ def test_slam_of_another_size_is_refused(wall, tmp_path):
         {"patch": 4},
         {"reduction": "max"},
         {"matching": "guess"},
+        {"consistency_points": "some"},
+        {"min_parallax": -1},
         {"val_fraction": 0.9},
         {"epochs": 0},
         {"workers": -1},
@@ -261,11 +263,16 @@ def test_batches_mix_cameras_and_numbers_of_points(wall):
     source = samples_of(wall, network)
     a, b = source.sample(1), source.sample(2)
     b = b._replace(uv=b.uv[:, :7], depth=b.depth[:, :7], mask=b.mask[:7], K=b.K * 2)
+    a = a._replace(seen_uv=a.seen_uv[:9], seen_depth=a.seen_depth[:9], seen_mask=a.seen_mask[:9])
     batch = refinement_data.collate([a, b])
     assert batch.images.shape == (2, 5, 3, 48, 72)
     assert batch.images.dtype == torch.uint8
     assert batch.mask.sum(1).tolist() == [len(a.mask), 7]
     assert torch.equal(batch.uv[1, :, :7], b.uv)
+    assert torch.equal(batch.depth[1, :, :7], b.depth)
+    assert batch.seen_mask.sum(1).tolist() == [9, len(b.seen_mask)]
+    assert torch.equal(batch.seen_uv[0, :9], a.seen_uv)
+    assert torch.equal(batch.seen_depth[1], b.seen_depth)
     assert batch.K[1, 0, 0] == 2 * batch.K[0, 0, 0]
 
 
@@ -290,13 +297,14 @@ class Oracle(TiltNet):
         return DepthPrediction((self.depth,))
 
 
-def test_terms_vanish_at_the_truth(wall):
+@pytest.mark.parametrize("options", [{}, {"consistency_points": "all", "min_parallax": 0.5}])
+def test_terms_vanish_at_the_truth(wall, options):
     """True depth, true poses and true points agree in every term, so resizing, poses and pixels agree too."""
     sequence, _ = wall
-    sample = samples_of(wall, TiltNet())
+    sample = samples_of(wall, TiltNet(), **options)
     frames = sample.supervision.samples[2].frames
     depth = truth(sequence, frames[0], frames[3], frames[4])
-    settings = replace(QUICK, automask=False)
+    settings = replace(QUICK, automask=False, anchored_transfer=bool(options))
 
     def terms(factor, batch=None):
         module = DepthRefinement(Oracle(depth * factor), settings)
@@ -309,6 +317,19 @@ def test_terms_vanish_at_the_truth(wall):
     assert off["depth_consistency"] > 100 * at["depth_consistency"]
     assert off["depth_transfer"] > 20 * at["depth_transfer"]
     assert off["photometric"] > 1.3 * at["photometric"]
+
+
+def test_the_average_of_depth_transfer_is_a_sixth_of_its_mean(wall):
+    source = samples_of(wall, TiltNet())
+    depth = truth(wall[0], *(source.supervision.samples[1].frames[v] for v in (0, 3, 4))) * 1.1
+    mean, average = (
+        DepthRefinement(Oracle(depth), replace(QUICK, reduction=r)).terms(float_batch(source, 1), None)[
+            "depth_transfer"
+        ]
+        for r in ("mean", "average")
+    )
+    assert average.item() == pytest.approx(mean.item() / 6)
+    assert average > 0.01
 
 
 def test_a_mirrored_world_has_the_same_losses(wall):

@@ -5,7 +5,14 @@ import math
 import pytest
 import torch
 
-from prgbd.training.sparse_losses import depth_consistency, depth_transfer, matched_pixels, sample_patches, transferred
+from prgbd.training.sparse_losses import (
+    anchored,
+    depth_consistency,
+    depth_transfer,
+    matched_pixels,
+    sample_patches,
+    transferred,
+)
 from prgbd.training.warping import invert_rigid, transformation_from_parameters
 
 K = torch.tensor([[[20.0, 0, 9.5], [0, 20.0, 7.5], [0, 0, 1]]]).double()
@@ -103,6 +110,37 @@ def test_transfer_of_a_slanted_plane_vanishes_at_the_true_depth():
     assert both_ways(depth_a * 1.1, depth_b, *rest).item() > 0.5
 
 
+def test_the_average_halves_both_directions():
+    depth_a, depth_b, *rest = slanted_pair()
+    mean, average = (both_ways(depth_a * 1.2, depth_b, *rest, reduction=r).item() for r in ("mean", "average"))
+    assert average == pytest.approx(mean / 2)
+    assert average > 0.2
+
+
+def test_anchored_transfer_tells_a_wrong_scale_on_which_both_views_agree():
+    """Two views of a wall side by side: predictions that are 30 % too large agree, but not with SLAM's 5 m."""
+    uv_a, uv_b = [[[9.5, 7.5]]], [[[7.5, 7.5]]]
+    aside = translation(x=-0.5)
+    slam = torch.full((1, 1), 5.0).double()
+    assert both_ways(flat(6.5), flat(6.5), uv_a, uv_b, aside).item() == pytest.approx(0, abs=1e-9)
+    assert both_ways(flat(6.5), flat(6.5), uv_a, uv_b, aside, anchors=(slam, slam)).item() == pytest.approx(3.0)
+    assert both_ways(flat(5.0), flat(5.0), uv_a, uv_b, aside, anchors=(slam, slam)).item() == pytest.approx(0, abs=1e-9)
+
+
+def test_anchored_transfer_vanishes_at_the_truth_and_keeps_the_shape_of_the_other_view():
+    depth_a, depth_b, uv_a, uv_b, bTa = slanted_pair()
+    uv = torch.tensor(uv_a).double(), torch.tensor(uv_b).double()
+    anchors = tuple(sample_patches(d, p, 1).depth[..., 0] for d, p in zip((depth_a, depth_b), uv, strict=True))
+    assert both_ways(depth_a, depth_b, uv_a, uv_b, bTa, anchors=anchors).item() == pytest.approx(0, abs=1e-6)
+    # The scale of the moved patch is SLAM's, whatever its view predicts.
+    patch = sample_patches(depth_a, uv[0], 3)
+    same = anchored(patch._replace(depth=patch.depth * 1.4), anchors[0])
+    assert torch.allclose(same.depth, patch.depth)
+    off = (depth_b * 1.1).requires_grad_()
+    both_ways(depth_a, off, uv_a, uv_b, bTa, anchors=anchors).backward()
+    assert off.grad.sum() > 0.5  # too deep: descent brings it nearer
+
+
 def test_both_matchings_agree_on_the_keypoint_itself():
     depth_a, depth_b, *rest = slanted_pair()
     losses = [both_ways(depth_a * 1.2, depth_b, *rest, patch=1, matching=m).item() for m in ("projected", "offset")]
@@ -159,6 +197,9 @@ def test_gradients_agree_with_finite_differences():
     assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, matching="offset", reduction="sum"), (a, b))
     slam = torch.rand(2, 3, dtype=torch.float64) + 5
     assert torch.autograd.gradcheck(lambda a: depth_consistency(a, uv_a, slam, mask), a)
+    # The shape of a moved patch has no gradient either; its middle is SLAM's.
+    anchors = slam, torch.rand(2, 3, dtype=torch.float64) + 5
+    assert torch.autograd.gradcheck(lambda a, b: transfer(a, b, patch=1, anchors=anchors), (a, b))
 
 
 @pytest.mark.parametrize(("residual", "least", "most"), [("absolute", 0.5, 0.9), ("log", 0.95, 1.05)])

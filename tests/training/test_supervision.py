@@ -130,6 +130,59 @@ def test_points_beyond_the_sensors_reach_are_left_out(result):
     assert point in supervision.keyframe_samples(blind, max_reprojection_error=1e4).samples[0].point
 
 
+def test_parallax_is_the_angle_between_the_first_and_the_last_ray():
+    result = tiny([0, 0])
+    found = supervision.parallax(result.keyframes, result.points, result.observations)
+    # Point 0 lies 2 m ahead of keyframe 0, and keyframe 3 stands 0.3 m to the right.
+    assert found[0] == pytest.approx(np.degrees(np.arctan2(0.3, 2)))
+    # Points 1 and 2: the cosine rule with the three sides of the triangle.
+    for point, a, b in ((1, 0, 1), (2, 1, 3)):
+        rays = result.points.xyz[point] - result.keyframes.wTc[[a, b], :3, 3]
+        u, v = np.linalg.norm(rays, axis=1)
+        side = result.keyframes.wTc[b, 0, 3] - result.keyframes.wTc[a, 0, 3]
+        assert found[point] == pytest.approx(np.degrees(np.arccos((u**2 + v**2 - side**2) / (2 * u * v))))
+    one = result.observations.keyframe == 0
+    seen = result.observations
+    once = Observations(seen.keyframe[one], seen.point[one], seen.uv[one], seen.depth[one])
+    assert supervision.parallax(result.keyframes, result.points, once).tolist() == [0, 0, 0]
+
+
+def test_parallax_decides_about_far_points_instead_of_the_sensors_reach(result):
+    """With a sensor that reaches less far than the wall, the wall's points stay; one slid out to infinity goes."""
+    reach = np.median(result.observations.depth)
+    near = np.minimum(result.observations.depth, reach)
+    point = int(supervision.keyframe_samples(result).samples[0].point[0])
+    xyz, wTc = result.points.xyz.copy(), result.keyframes.wTc[1]
+    xyz[point] = wTc[:3, 3] + 5000 * (xyz[point] - wTc[:3, 3])
+    short = replace(
+        result,
+        points=replace(result.points, xyz=xyz),
+        observations=replace(result.observations, depth=near.astype(np.float32)),
+    )
+    by_reach = supervision.keyframe_samples(short, max_reprojection_error=1e4).samples[0]
+    by_angle = supervision.keyframe_samples(short, max_reprojection_error=1e4, min_parallax=1.0).samples[0]
+    assert by_reach.depth.max() <= reach < by_angle.depth.max() < 100
+    assert point not in by_angle.point
+    assert len(by_angle.point) > len(by_reach.point)
+
+
+def test_all_points_of_a_keyframe_may_teach_its_depth(result):
+    common = supervision.keyframe_samples(result).samples[0]
+    assert np.array_equal(common.seen_uv, common.uv[0])
+    assert np.array_equal(common.seen_depth, common.depth[0])
+    every = supervision.keyframe_samples(result, consistency_points="all").samples[0]
+    cleaned = supervision.clean_observations(result)
+    mine = cleaned.keyframe == 1
+    assert len(every.seen_depth) == mine.sum() > len(common.seen_depth)
+    local = supervision.points_in_camera(result.keyframes.wTc[1], result.points.xyz[cleaned.point[mine]])
+    order, expected = np.argsort(every.seen_depth), np.sort(local[:, 2])
+    assert np.allclose(every.seen_depth[order], expected, rtol=1e-5)
+    lifted = result.camera.backproject(every.seen_uv.astype(float), every.seen_depth.astype(float))
+    assert np.abs(result.camera.project(lifted) - every.seen_uv).max() < 1e-3
+    # What the three keyframes share is the same as before: depth transfer needs it.
+    assert np.array_equal(every.uv, common.uv)
+
+
 def test_an_empty_result_gives_nothing():
     result = tiny([0, 0])
     empty = replace(
