@@ -257,7 +257,7 @@ class _Views:
         common, depth = common[known], depth[:, known]
         uv = np.stack([self._uv[self._slices[r]][np.searchsorted(self.points(r), common)] for r in rows])
         wTc = keyframes.wTc[row]
-        own = self._own(row) if self.consistency_points == "all" else (uv[0], depth[0])
+        seen_uv, seen_depth = self._own(row) if self.consistency_points == "all" else (uv[0], depth[0])
         return KeyframeSample(
             current=int(keyframes.frame_index[row]),
             adjacent=trajectory.frame_index[adjacent],
@@ -267,11 +267,11 @@ class _Views:
             point=common.astype(np.int64),
             uv=uv.astype(np.float32),
             depth=depth.astype(np.float32),
-            seen_uv=own[0].astype(np.float32),
-            seen_depth=own[1].astype(np.float32),
+            seen_uv=seen_uv.astype(np.float32),
+            seen_depth=seen_depth.astype(np.float32),
         )
 
-    def _own(self, row: int) -> tuple[Floats, Floats]:
+    def _own(self, row: int) -> tuple[NDArray[np.float32], Floats]:
         """Pixels (Y, 2) and depth (Y,) of all reliable points that keyframe ``row`` observes."""
         points = self.points(row)
         depth = points_in_camera(self.result.keyframes.wTc[row], self.result.points.xyz[points])[:, 2]
