@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import importlib.util
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prgbd.cli.loggers import logger_maker
 from prgbd.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -358,25 +358,3 @@ def device(config: Mapping[str, Any]) -> torch.device:
     if accelerator == "auto" and torch.cuda.is_available():
         return torch.device("cuda")
     return torch.device("cpu")
-
-
-def logger_maker(config: Mapping[str, Any]) -> Callable[[Path], Any] | None:
-    """Return what makes a Lightning logger for a folder; None where ``losses.csv`` is enough.
-
-    Raises:
-        ConfigError: If the logger is unknown or its package is missing.
-    """
-    name = config["logger"].get("name", "csv")
-    if name == "csv":
-        return None
-    if name != "tensorboard":
-        raise ConfigError(f"There is no logger '{name}'; choose csv or tensorboard.")
-    if importlib.util.find_spec("tensorboard") is None:
-        raise ConfigError("logger=tensorboard needs tensorboard; pip install 'prgbd[tensorboard]'.")
-
-    def make(folder: Path) -> Any:
-        from lightning.pytorch.loggers import TensorBoardLogger
-
-        return TensorBoardLogger(save_dir=str(folder), name="tensorboard", version="")
-
-    return make

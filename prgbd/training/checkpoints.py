@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,22 @@ class Handover(Callback):
         for source, figures in zip(self._sources, read_json(self._path), strict=True):
             source.take_over(figures)
         self._path.unlink()
+
+
+@contextmanager
+def tensors_by_name() -> Iterator[None]:
+    """Share tensors with spawned processes by files' names, not by open files.
+
+    A process is spawned with at most some hundred open files, and every tensor of a network and of its images is one:
+    "bad value(s) in fds_to_keep".
+    """
+    before = torch.multiprocessing.get_sharing_strategy()
+    if "file_system" in torch.multiprocessing.get_all_sharing_strategies():
+        torch.multiprocessing.set_sharing_strategy("file_system")
+    try:
+        yield
+    finally:
+        torch.multiprocessing.set_sharing_strategy(before)
 
 
 def one_process(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
 from prgbd.training.augmentation import jittered
-from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process
+from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
 from prgbd.training.compilation import Compilation
 from prgbd.training.images import image_folder
 from prgbd.training.losses import photometric_loss, smoothness_loss
@@ -215,7 +215,8 @@ def pretrain(
         if resumed is None:
             module.held_out_before = gauge.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
         module.train()
-        trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
+        with tensors_by_name():
+            trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
         module.steps = int(trainer.global_step)
         handover.collect()
         after = gauge.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]

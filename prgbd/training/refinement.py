@@ -25,7 +25,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
-from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process
+from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
 from prgbd.training.compilation import Compilation
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
@@ -146,7 +146,8 @@ def _fit(
     if resumed is None:
         gauge.validate(module, datamodule=data, verbose=False)
     module.train()  # Lightning trains in the mode that it finds
-    trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
+    with tensors_by_name():
+        trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
     handover.collect()
     if rows.rows[-1]["split"] != "held_out":
         last = rows.rows[-1]

@@ -6,6 +6,7 @@ from typing import Any
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
+from prgbd.cli.loggers import logger_maker
 from prgbd.cli.tasks.depth import evaluate, make_sensor
 from prgbd.cli.tasks.reporting import report
 from prgbd.loop.interrupts import interruptible
@@ -36,7 +37,7 @@ def _train(job: Job, weight_options: dict[str, bool]) -> dict[str, Any]:
     if options.max_steps > 0:
         total = min(total, options.max_steps * options.batch_size)
     folder = job.store.path("training")
-    make_logger = settings.logger_maker(job.config)
+    make_logger = logger_maker(job.config)
     with interruptible(), job.display.stage("Pre-training", total) as progress:
         callbacks = [TrainingProgress(progress, job.display.say)]
         figures = pretrain(

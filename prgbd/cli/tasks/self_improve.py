@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
+from prgbd.cli.loggers import logger_maker
 from prgbd.cli.tasks.reporting import report
 from prgbd.loop.refining import Refiner
 from prgbd.loop.self_improving import SelfImprovingLoop
@@ -14,7 +15,7 @@ def run(job: Job) -> None:
     parts, config = job.parts, job.config
     assert parts.estimator is not None
     assert parts.make_slam is not None
-    refiner = Refiner(settings.refinement_settings(config), dict(config["trainer"]), settings.logger_maker(config))
+    refiner = Refiner(settings.refinement_settings(config), dict(config["trainer"]), logger_maker(config))
     loop = SelfImprovingLoop(
         parts.estimator.to(settings.device(config)),
         parts.make_slam,
