@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,10 @@ class Sequence(ABC):
 
     def __len__(self) -> int:
         return len(self.timestamps)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield every frame in order."""
+        return (self.frame(index) for index in range(len(self)))
 
     @abstractmethod
     def frame(self, index: int) -> Frame:

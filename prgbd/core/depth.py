@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from prgbd.core.errors import WeightsError
 from prgbd.core.types import DepthPrediction
+from prgbd.core.validation import check_image
 
 
 class DepthEstimator(nn.Module, ABC):
@@ -46,7 +47,12 @@ class DepthEstimator(nn.Module, ABC):
         """
 
     def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
-        """Resize an (H, W, 3) uint8 RGB image to ``input_size``: (3, h, w) float32 in [0, 1] on the CPU."""
+        """Resize an (H, W, 3) uint8 RGB image to ``input_size``: (3, h, w) float32 in [0, 1] on the CPU.
+
+        Raises:
+            ContractError: If the image is gray, or not of uint8.
+        """
+        check_image(image, "A depth network")
         height, width = self.input_size
         if image.shape[:2] != (height, width):
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -91,6 +91,8 @@ class CheckedSLAM(GeometricSLAM):
         self, camera: PinholeCamera, mode: str, *, baseline: float | None = None, fps: float = 30.0, seed: int = 0
     ) -> None:
         """See ``GeometricSLAM.reset``."""
+        known = isinstance(camera, PinholeCamera)
+        require(known, "The caller of reset", f"gave a {type(camera).__name__} where a prgbd.PinholeCamera belongs.")
         if mode not in self.modes:
             raise ConfigError(f"{self._who} has no mode '{mode}'; it supports {', '.join(sorted(self.modes))}.")
         open_ended = mode == "mono" or (mode == "pseudo_rgbd" and baseline is None)

@@ -54,7 +54,7 @@ def check_depth_shape(depth: Any, shape: tuple[int, int], who: str) -> None:
         who,
         f"gave depth of shape {getattr(depth, 'shape', type(depth).__name__)}; it must be {shape} like the image.",
     )
-    require(depth.dtype == np.float32, who, f"gave depth as {depth.dtype}; it must be float32.")
+    require(depth.dtype == np.float32, who, f"gave depth as {depth.dtype}; it must be float32 metres.")
 
 
 def check_depth_map(depth: Any, shape: tuple[int, int], who: str, *, allow_unknown: bool = True) -> None:
@@ -66,6 +66,13 @@ def check_depth_map(depth: Any, shape: tuple[int, int], who: str, *, allow_unkno
     require(lowest >= 0 if allow_unknown else lowest > 0, who, f"gave a depth of {lowest:g}; depth must be positive.")
 
 
+def check_image(image: Any, who: str) -> None:
+    """Require an (H, W, 3) uint8 image; a gray one, or one of numbers up to 1, would give nonsense further on."""
+    fits = isinstance(image, np.ndarray) and image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+    found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+    require(fits, who, f"takes an image (H, W, 3) of uint8 RGB, not {found}.")
+
+
 def check_frame(frame: Any, camera: PinholeCamera, who: str) -> None:
     """Require an RGB uint8 image, and depth and right image, of the camera's size."""
     require(isinstance(frame, Frame), who, f"gave a {type(frame).__name__} where a prgbd.Frame belongs.")
@@ -75,9 +82,10 @@ def check_frame(frame: Any, camera: PinholeCamera, who: str) -> None:
         if image is None and name == "right image":
             continue
         fits = isinstance(image, np.ndarray) and image.shape == (*shape, 3) and image.dtype == np.uint8
-        found = f"{getattr(image, 'shape', None)} {getattr(image, 'dtype', type(image).__name__)}"
+        found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
         require(fits, here, f"gave the {name} as {found}; the camera asks for {(*shape, 3)} uint8 RGB.")
-    require(np.isfinite(frame.timestamp), who, f"gave frame {frame.index} a time stamp that is not finite.")
+    dated = isinstance(frame.timestamp, (int, float, np.number)) and np.isfinite(frame.timestamp)
+    require(dated, here, f"gave the time stamp {frame.timestamp}; it must be seconds, a finite number.")
     if frame.depth is not None:
         check_depth_map(frame.depth, shape, here)
 

@@ -259,3 +259,40 @@ def test_spoilt_sequences_are_caught() -> None:
 def test_a_sequence_without_frames_is_refused() -> None:
     with pytest.raises(ContractError, match="no frames"):
         CheckedSequence(Ramp(frames=0), "Ramp")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"image": np.zeros((240, 320), np.uint8)}, ["frame 0", "(240, 320) uint8", "(240, 320, 3) uint8 RGB"]),
+        ({"image": np.zeros((240, 320, 3))}, ["frame 0", "float64", "uint8"]),
+        ({"image": None}, ["NoneType"]),
+        ({"depth": np.ones((240, 320))}, ["float64", "float32 metres"]),
+        ({"depth": np.ones((120, 160), np.float32)}, ["(120, 160)", "(240, 320)"]),
+        ({"depth": None}, ["no depth", "'rgbd'"]),
+        ({"timestamp": None}, ["None", "seconds"]),
+        ({"timestamp": float("nan")}, ["nan", "finite"]),
+    ],
+)
+def test_ones_own_frames_are_refused_in_one_sentence(checked, camera, changes, words) -> None:
+    checked.reset(camera, "rgbd", baseline=0.1)
+    with pytest.raises(ContractError) as caught:
+        checked.track(replace(planar_scene(1)[0], **changes))
+    assert "\n" not in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_camera_that_is_none_is_refused(checked) -> None:
+    with pytest.raises(ContractError, match=r"tuple where a prgbd\.PinholeCamera"):
+        checked.reset((320, 240), "mono")
+
+
+@pytest.mark.parametrize("image", [np.zeros((32, 64), np.uint8), np.zeros((32, 64, 3)), "image.png"])
+def test_only_colour_images_of_bytes_are_predicted_on(image) -> None:
+    with pytest.raises(ContractError, match="uint8 RGB"):
+        Constant().predict(image)
+
+
+def test_a_sequence_is_a_series_of_frames() -> None:
+    assert [frame.index for frame in CheckedSequence(Ramp(), "Ramp")] == [0, 1, 2, 3]

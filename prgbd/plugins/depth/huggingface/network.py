@@ -17,6 +17,7 @@ from prgbd.core.depth import DepthEstimator, load_matching
 from prgbd.core.errors import ConfigError
 from prgbd.core.files import atomic_path
 from prgbd.core.types import DepthPrediction
+from prgbd.core.validation import check_image
 from prgbd.plugins.depth.huggingface.inputs import input_rules
 from prgbd.plugins.depth.huggingface.loading import PROCESSOR, WEIGHTS, load_model, read_weights
 from prgbd.plugins.depth.huggingface.outputs import disparity_unit, meaning_of
@@ -102,6 +103,7 @@ class HuggingFaceDepth(DepthEstimator):
 
     def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
         """Resize an (H, W, 3) uint8 RGB image to ``input_size`` as the model's processor resizes: (3, h, w) float32."""
+        check_image(image, "A depth network")
         self._warn_of_shape(*image.shape[:2])
         # A copy: what comes from a memory map or a video reader may be read-only.
         tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float().div_(255.0)
