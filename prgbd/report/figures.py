@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 INK, MUTED, GRID = "#010203", "#6e7072", "#d9dadb"
 LOOP_COLOURS = ("#e0783a", "#c2528b", "#7a5fd0", "#2f7fc8", "#12998b")
+BASELINE_COLOURS = ("#7d8794", "#9a8032")
 STATE_COLOURS = {
     "ok": "#3aa675",
     "interpolated": "#e0a73c",
@@ -32,7 +33,7 @@ STATE_COLOURS = {
 WIDTH = 5.2  # inches; small enough that labels stay readable on a phone
 MOST_POINTS = 1500  # per line; more cannot be seen and only makes the file large
 
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 10.5,
     "axes.titlesize": 11,
@@ -93,6 +94,8 @@ class Timeline:
         inliers: (F,) inlier matches of every frame.
         keyframes: (K,) frame numbers of the keyframes.
         colour: Colour of the loop.
+        closures: Frames at which a loop was closed or two maps were joined.
+        found: Frames with a pose after tracking was lost.
     """
 
     label: str
@@ -100,6 +103,8 @@ class Timeline:
     inliers: NDArray[np.int32]
     keyframes: NDArray[np.int64]
     colour: str
+    closures: Sequence[int] = ()
+    found: Sequence[int] = ()
 
 
 def loop_colours(count: int) -> list[str]:
@@ -114,7 +119,10 @@ def loop_colours(count: int) -> list[str]:
     return [to_hex(ramp(i / (count - 1))) for i in range(count)]
 
 
-def _figure(height: float, rows: int = 1, columns: int = 1, width: float = WIDTH, **options: Any) -> tuple[Figure, Any]:
+def new_figure(
+    height: float, rows: int = 1, columns: int = 1, width: float = WIDTH, **options: Any
+) -> tuple[Figure, Any]:
+    """Return an empty figure, sizes in inches, and its axes."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -124,7 +132,7 @@ def _figure(height: float, rows: int = 1, columns: int = 1, width: float = WIDTH
 def to_svg(figure: Figure) -> bytes:
     """Render as SVG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
 
@@ -132,7 +140,7 @@ def to_svg(figure: Figure) -> bytes:
 def to_png(figure: Figure, dpi: int = 160) -> bytes:
     """Render as PNG on white."""
     buffer = io.BytesIO()
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
     return buffer.getvalue()
 
@@ -160,7 +168,7 @@ def inline_svg(svg: bytes, label: str, prefix: str) -> str:
     return text.replace("<svg", f'<svg role="img" aria-label="{escape(label, quote=True)}"', 1)
 
 
-def _broken(frames: NDArray[np.int64], *columns: NDArray[Any]) -> list[NDArray[np.float64]]:
+def broken(frames: NDArray[np.int64], *columns: NDArray[Any]) -> list[NDArray[np.float64]]:
     """Thin out columns to ``MOST_POINTS`` and put NaN where frames are missing, so that no line bridges a gap."""
     frames = np.asarray(frames)
     gaps = np.flatnonzero(np.diff(frames) > 1) + 1
@@ -184,7 +192,7 @@ def horizontal_axes(wTc: NDArray[np.float64]) -> tuple[int, int]:
     return (second, first) if down[axis] > 0 else (first, second)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def trajectory_figure(
     paths: Sequence[Path3D], axes: tuple[int, int], points: NDArray[np.float64] | None = None, unit: str = "m"
 ) -> Figure:
@@ -196,7 +204,7 @@ def trajectory_figure(
         points: (P, 3) map points to draw faintly below, or None.
         unit: Unit of the axes.
     """
-    figure, ax = _figure(5.0)
+    figure, ax = new_figure(5.0)
     positions = np.concatenate([p.xyz for p in paths if len(p.xyz)] or [np.zeros((1, 3))])[:, list(axes)]
     low, high = positions.min(axis=0), positions.max(axis=0)
     margin = 0.08 * max(float((high - low).max()), 1e-6)
@@ -207,7 +215,7 @@ def trajectory_figure(
         flat = flat[near][:: max(1, int(near.sum()) // 20000)]
         ax.plot(flat[:, 0], flat[:, 1], ".", color="#8a93a3", ms=1.8, alpha=0.5, mew=0, rasterized=True)
     for path in paths:
-        (line,) = _broken(path.frames, path.xyz[:, list(axes)])
+        (line,) = broken(path.frames, path.xyz[:, list(axes)])
         truth = path.colour == INK
         ax.plot(
             line[:, 0], line[:, 1], color=path.colour, label=path.label, lw=1.2 if truth else 1.8,
@@ -232,12 +240,12 @@ def _legend_above(figure: Figure, ax: Axes, columns: int = 2) -> None:
         figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=1.8)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def error_figure(series: Sequence[tuple[str, str, NDArray[np.int64], NDArray[np.float64]]], unit: str = "m") -> Figure:
     """Draw position errors over frames; each series is ``(label, colour, frames, errors)``."""
-    figure, ax = _figure(3.0)
+    figure, ax = new_figure(3.0)
     for label, colour, frames, errors in series:
-        x, y = _broken(frames, frames, errors)
+        x, y = broken(frames, frames, errors)
         ax.plot(x, y, color=colour, label=label)
     ax.set_ylim(bottom=0)
     ax.set_xlabel("frame")
@@ -246,14 +254,14 @@ def error_figure(series: Sequence[tuple[str, str, NDArray[np.int64], NDArray[np.
     return figure
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def timeline_figure(timelines: Sequence[Timeline]) -> Figure:
     """Draw the state and the keyframes of every frame as strips, and the inlier matches below."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
     heights = [0.28 * len(timelines) + 0.15, 1.7]
-    figure, (top, bottom) = _figure(sum(heights) + 1.0, 2, 1, sharex=True, height_ratios=heights)
+    figure, (top, bottom) = new_figure(sum(heights) + 1.0, 2, 1, sharex=True, height_ratios=heights)
     seen: dict[str, str] = {}
     for row, line in enumerate(timelines):
         colours = [STATE_COLOURS.get(state, MUTED) for state in line.states]
@@ -263,8 +271,11 @@ def timeline_figure(timelines: Sequence[Timeline]) -> Figure:
         top.imshow(strip, aspect="auto", extent=extent, interpolation="nearest")
         thin = min(0.9, 90 / max(len(line.keyframes), 1))  # many ticks must not hide the state
         top.vlines(line.keyframes, row + 0.1, row + 0.36, color="white", lw=thin, alpha=0.9)
+        for marked, sign in ((line.closures, "^"), (line.found, "o")):
+            if len(marked):  # an empty line has no extent, which confuses the layout
+                top.plot(marked, [row - 0.2] * len(marked), sign, color=INK, mec="white", mew=0.6, ms=6.5)
         frames = np.arange(len(line.inliers))
-        x, y = _broken(frames, frames, line.inliers)
+        x, y = broken(frames, frames, line.inliers)
         bottom.plot(x, y, color=line.colour, lw=1.3, label=line.label)
     top.set_ylim(len(timelines) - 0.5, -0.5)
     top.set_yticks(range(len(timelines)), [line.label for line in timelines])
@@ -285,7 +296,7 @@ def loss_terms(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]]) -> l
     return sorted(names, key=lambda n: n != "total")
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def loss_figure(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]], term: str) -> Figure:
     """Draw one loss term over the steps of all loops, one after another.
 
@@ -293,7 +304,7 @@ def loss_figure(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]], ter
         loops: Name and columns of ``losses.csv`` of each loop.
         term: The column to draw.
     """
-    figure, ax = _figure(2.4, width=3.9)
+    figure, ax = new_figure(2.4, width=3.9)
     starts = np.concatenate([[0], np.cumsum([max((len(v) for v in c.values()), default=0) for _, c in loops])])
     for (label, losses), start, colour in zip(loops, starts, loop_colours(len(loops)), strict=False):
         if term in losses and len(losses[term]):
@@ -319,7 +330,7 @@ def _draw_loss(ax: Axes, steps: NDArray[Any], values: NDArray[np.float64], colou
     ax.plot(steps[::thin], values[::thin], color=colour, lw=1.7, label=label, marker="o" if len(values) == 1 else "")
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def metric_figure(title: str, series: dict[str, list[float | None]]) -> Figure:
     """Draw one figure over the loops.
 
@@ -327,7 +338,7 @@ def metric_figure(title: str, series: dict[str, list[float | None]]) -> Figure:
         title: What it is, with its unit.
         series: One value or None per loop, by name; several names get a legend.
     """
-    figure, ax = _figure(2.1, width=2.9)
+    figure, ax = new_figure(2.1, width=2.9)
     shades = ("#2f7fc8", "#e0783a", "#12998b", "#c2528b", "#7a5fd0", "#9a8032", "#5f6b7a", "#b04a3a")
     count, top = 1, 0.0
     for i, (label, values) in enumerate(series.items()):

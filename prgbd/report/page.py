@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from prgbd.core.files import atomic_path
-from prgbd.report import sections
+from prgbd.report import interactive, sections
 from prgbd.report.reading import Run, open_run, sum_pose
 from prgbd.report.style import CSS
 from prgbd.report.words import Change, depth_change, describe, number, percent, pose_change
@@ -46,7 +46,12 @@ def write_report(run: Path | str) -> Path:
 def render(run: Run) -> str:
     """Return the page of a run as HTML below ``LARGEST`` bytes."""
     before = sections.loops_section(run) + sections.pose_section(run)
-    after = sections.training_section(run) + sections.figures_section(run) + sections.setup_section(run)
+    after = (
+        sections.depth_ranges_section(run)
+        + sections.training_section(run)
+        + sections.figures_section(run)
+        + sections.setup_section(run)
+    )
     for width, most in DETAIL:
         body = before + sections.depth_section(run, width, most) + after
         if len(body.encode()) < LARGEST - 100_000:
@@ -55,7 +60,8 @@ def render(run: Run) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{escape(title)} · {escape(_subject(run))}</title><style>{CSS}</style></head><body>"
+        f"<title>{escape(title)} · {escape(_subject(run))}</title><style>{CSS}</style>"
+        f"{interactive.scripts()}</head><body>"
         f"{_header(run, title)}<main>{_cards(run)}{_problems(run)}{body}</main>{_footer(run)}</body></html>\n"
     )
 

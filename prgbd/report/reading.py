@@ -57,6 +57,11 @@ class Run:
         return kept_loops(self.summary)
 
     @property
+    def entries(self) -> list[dict[str, Any]]:
+        """The baselines and the loops, in the order of the tables."""
+        return [*(self.summary.get("baselines") or []), *self.loops]
+
+    @property
     def sequences(self) -> list[str]:
         """Names of the sequences: those of the summary, and any that only the loops know."""
         names = list(self.summary.get("sequences") or [])
@@ -71,7 +76,9 @@ class Run:
         return f"{name} {loop.get('loop')}" if twins > 1 else name
 
     def folder(self, loop: dict[str, Any]) -> Path:
-        """Return the folder of a loop."""
+        """Return the folder of a loop or baseline."""
+        if loop.get("folder"):
+            return self.path / str(loop["folder"])
         return self.path / "loops" / f"{int(loop.get('loop', 0)):02d}"
 
     def result(self, loop: dict[str, Any], sequence: str) -> SlamResult | None:

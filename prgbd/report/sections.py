@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from html import escape
 from typing import Any
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from prgbd.core.alignment import Alignment, fit_alignment
 from prgbd.core.export import match_times
 from prgbd.core.types import SlamResult, Trajectory
-from prgbd.report import figures, pictures, tables
+from prgbd.report import figures, interactive, pictures, range_figures, tables
 from prgbd.report.figures import Path3D, Timeline
+from prgbd.report.interactive import Cloud
 from prgbd.report.reading import Run, mean_pose
 from prgbd.report.words import number
 
@@ -61,7 +63,7 @@ def pose_section(run: Run) -> str:
     """Return trajectories over truth, errors over time and the tracking of every sequence."""
     html = ""
     for number_, name in enumerate(run.sequences[:MOST_SEQUENCES]):
-        found = [(loop, run.result(loop, name)) for loop in run.loops]
+        found = [(loop, run.result(loop, name)) for loop in run.entries]
         results = [(loop, result) for loop, result in found if result is not None]
         if results:
             html += f"<h3>{escape(name)}</h3>" + _sequence(run, name, results, f"s{number_}-")
@@ -73,11 +75,12 @@ def pose_section(run: Run) -> str:
 
 
 def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResult]], key: str) -> str:
-    colours = dict(zip((id(loop) for loop in run.loops), figures.loop_colours(len(run.loops)), strict=True))
+    colours = _colours(run)
     truth = run.truth(name)
     reference = truth if truth is not None and len(truth) >= FEWEST_POSES else results[0][1].trajectory
     paths = [Path3D("truth", np.arange(len(truth)), truth.positions)] if truth is not None and len(truth) else []
     series, points, left_out = [], None, []
+    clouds: list[Cloud] = []
     for loop, result in results:
         aligned = _align(result.trajectory, reference)
         label, colour = run.label(loop), colours[id(loop)]
@@ -90,21 +93,22 @@ def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResul
         paths.append(
             Path3D(label + suffix, result.trajectory.frame_index, transform.points(result.trajectory.positions), colour)
         )
-        points = transform.points(result.points.xyz) if len(result.points) else points
+        if len(result.points):
+            points = transform.points(result.points.xyz)
+            clouds.append(Cloud(label + suffix, points, result.points.rgb))
         if reference is truth:
             series.append((label, colour, result.trajectory.frame_index[rows], errors))
     left, right = "", ""
     if paths:
-        drawing = figures.trajectory_figure(
-            paths, figures.horizontal_axes(reference.wTc), points, "m" if reference is truth else "map units"
+        axes, unit = figures.horizontal_axes(reference.wTc), "m" if reference is truth else "map units"
+        left = _trajectories(
+            name, paths, clouds[-2:], points, axes, unit, _path_caption(truth is not None, left_out), key
         )
-        caption = _path_caption(truth is not None, left_out)
-        left = figure_html(drawing, f"trajectories of {name} from above", caption, key + "t")
-    lines = [
-        Timeline(run.label(loop), list(r.states), r.inliers, r.keyframes.frame_index, colours[id(loop)])
-        for loop, r in results
-    ]
-    caption = "State of every frame; white ticks are keyframes. Below, the matches that agree with each frame's pose."
+    lines = [_timeline(run.label(loop), r, colours[id(loop)]) for loop, r in results]
+    caption = (
+        "State of every frame; white ticks are keyframes, ▲ loop closures, ● frames found again after tracking was "
+        "lost. Below, the matches that agree with each frame's pose."
+    )
     right = figure_html(figures.timeline_figure(lines), f"tracking of {name}", caption, key + "k")
     if series:
         caption = "Distance from the true position after Sim3 alignment, by frame; a gap is where there is no pose."
@@ -112,6 +116,37 @@ def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResul
     return (
         f'<div class="grid"><div>{left}</div><div>{right}</div></div>' if left else f'<div class="grid">{right}</div>'
     )
+
+
+def _colours(run: Run) -> dict[int, str]:
+    baselines = run.entries[: len(run.entries) - len(run.loops)]
+    found = dict(zip(map(id, baselines), figures.BASELINE_COLOURS, strict=False))
+    return found | dict(zip(map(id, run.loops), figures.loop_colours(len(run.loops)), strict=True))
+
+
+def _trajectories(
+    name: str,
+    paths: list[Path3D],
+    clouds: list[Cloud],
+    points: NDArray[np.float64] | None,
+    axes: tuple[int, int],
+    unit: str,
+    caption: str,
+    key: str,
+) -> str:
+    """The drawing that can be turned, and the one from above for paper and for browsers without scripts."""
+    drawing = figures.trajectory_figure(paths, axes, points, unit)
+    svg = figures.inline_svg(figures.to_svg(drawing), f"trajectories of {name} from above", key + "t")
+    view = interactive.view_html(paths, clouds, axes, unit, f"interactive trajectories and map of {name}")
+    return f'<figure>{view}<div class="static">{svg}</div><figcaption>{caption}</figcaption></figure>'
+
+
+def _timeline(label: str, result: SlamResult, colour: str) -> Timeline:
+    states = list(result.states)
+    found = [i for i in range(1, len(states)) if states[i] == "ok" and states[i - 1] == "lost"]
+    notes = result.stats.get("loops") if isinstance(result.stats, dict) else None
+    closures = [int(note["frame"]) for note in notes or [] if isinstance(note, dict) and "frame" in note]
+    return Timeline(label, states, result.inliers, result.keyframes.frame_index, colour, closures, found)
 
 
 def _path_caption(with_truth: bool, left_out: list[str]) -> str:
@@ -153,28 +188,79 @@ def depth_section(run: Run, width: int, most: int) -> str:
     return html + "".join(_frame(row, width) for row in rows)
 
 
+# What can be compared by a slider: name, picture on the left, picture on the right.
+PAIRS = (
+    ("Depth before | after", "depth0", "depth1"),
+    ("Error before | after", "error0", "error1"),
+    ("Image | depth", "image", "depth1"),
+    ("Image | depth", "image", "depth0"),
+    ("Truth | depth", "truth", "depth1"),
+)
+
+
+def depth_ranges_section(run: Run) -> str:
+    """Return the depth errors by cap and by the distance of the truth, for the first and the last network."""
+    known = [(run.label(loop), loop["depth"]) for loop in run.loops if (loop.get("depth") or {}).get("images")]
+    chosen = known if len(known) < 2 else [known[0], known[-1]]
+    colours = figures.loop_colours(len(chosen))
+    drawn = []
+    for i, (metric, title) in enumerate((("abs_rel", "Abs Rel"), ("rmse", "RMSE (m)"), ("a1", "δ<1.25"))):
+        curves = [
+            (label, colour, [row["cap"] for row in depth["by_cap"]], [row.get(metric) for row in depth["by_cap"]])
+            for (label, depth), colour in zip(chosen, colours, strict=True)
+            if depth.get("by_cap")
+        ]
+        if curves:
+            figure = range_figures.cap_figure(f"{title} by cap", curves)
+            drawn.append(figure_html(figure, f"{title} by depth cap", "", f"c{i}-"))
+    for i, (metric, title) in enumerate((("abs_rel", "Abs Rel"), ("rmse", "RMSE (m)"))):
+        bins = [
+            (label, colour, depth["by_depth"])
+            for (label, depth), colour in zip(chosen, colours, strict=True)
+            if depth.get("by_depth")
+        ]
+        if bins:
+            figure = range_figures.bin_figure(f"{title} by distance", bins, metric)
+            drawn.append(figure_html(figure, f"{title} by true depth", "", f"b{i}-"))
+    if not drawn:
+        return ""
+    lede = (
+        "By cap: the whole protocol with the truth cut off at that depth, means over images. By distance: all pixels "
+        "whose true depth lies in that range, after the scaling of the headline cap."
+    )
+    return f'<h3>Depth by range</h3><p class="lede">{lede}</p><div class="grid medium">{"".join(drawn)}</div>'
+
+
 def _frame(row: pictures.DepthRow, width: int) -> str:
     """Return one frame's pictures: image, truth and predictions in a line, the errors below their predictions."""
-    tiles = [_tile(row.image, "image", f"{row.sequence} frame {row.frame}".strip(), width)]
+    tiles = [_tile(row.image, "image", f"{row.sequence} frame {row.frame}".strip(), width, role="image")]
     if row.truth is not None:
-        tiles.append(_tile(row.truth, "truth", "", width))
+        tiles.append(_tile(row.truth, "truth", "", width, role="truth"))
     start = len(tiles) + 1
-    tiles += [_tile(p.picture, p.label, _abs_rel(p.abs_rel), width) for p in row.predictions]
+    tiles += [
+        _tile(p.picture, p.label, _abs_rel(p.abs_rel), width, role=f"depth{i}") for i, p in enumerate(row.predictions)
+    ]
     across = len(tiles)
     errors = [(p.label, p.error_picture) for p in row.predictions if p.error_picture is not None]
-    tiles += [_tile(e, f"error, {n}", "", width, "" if i else "newline") for i, (n, e) in enumerate(errors)]
+    tiles += [
+        _tile(e, f"error, {n}", "", width, "" if i else "newline", f"error{i}") for i, (n, e) in enumerate(errors)
+    ]
     style = f"--across:{across};--start:{start}"
-    return f'<figure class="frame"><div class="tiles" style="{style}">{"".join(tiles)}</div>{_bars(row)}</figure>'
+    single = len(row.predictions) == 1
+    pairs = [pair for pair in PAIRS if (pair[2] == "depth0") == single]
+    given = escape(json.dumps(pairs), quote=True)
+    inside = f'<div class="tiles" style="{style}">{"".join(tiles)}</div>{_bars(row)}'
+    return f'<figure class="frame" data-pairs="{given}">{inside}</figure>'
 
 
 def _abs_rel(value: float | None) -> str:
     return "" if value is None else f"Abs Rel {number(value)}"
 
 
-def _tile(picture: NDArray[np.uint8], name: str, detail: str, width: int, kind: str = "") -> str:
+def _tile(picture: NDArray[np.uint8], name: str, detail: str, width: int, kind: str = "", role: str = "") -> str:
     data = base64.b64encode(pictures.to_jpeg(picture, width)).decode()
     text = f"<b>{escape(name)}</b>" + (f" {escape(detail)}" if detail else "")
-    image = f'<img alt="{escape(name, quote=True)}" src="data:image/jpeg;base64,{data}">'
+    image = f'<img data-role="{role}" alt="{escape(name, quote=True)}" src="data:image/jpeg;base64,{data}">'
     return f'<div class="{kind}">{image}<p>{text}</p></div>'
 
 

@@ -62,6 +62,30 @@ td b,th b{color:var(--good);font-weight:700}
 .bars>span{display:inline-flex;align-items:center;gap:8px}
 .bar{width:120px;height:9px;border-radius:99px;display:inline-block}
 .frame{margin-bottom:16px}
+.live,.slider{display:none}.js .live,.js .slider{display:block}.js .static{display:none}
+.view3d canvas{display:block;width:100%;height:min(62vh,460px);touch-action:none;cursor:grab;border-radius:8px;
+border:1px solid var(--grid)}
+.view3d canvas:focus-visible,.stage:focus-within{outline:2px solid var(--accent)}
+.choices{display:flex;flex-wrap:wrap;gap:8px;margin:0 0 10px}
+button{font:600 14px var(--sans);color:var(--ink);background:var(--flat-bg);border:1px solid var(--grid);
+padding:6px 14px;border-radius:99px;cursor:pointer}
+button[aria-pressed=true]{background:var(--accent);color:var(--card);border-color:var(--accent)}
+.toggles{display:flex;flex-wrap:wrap;gap:4px 18px;margin-top:10px;font-size:14px}
+.toggles label{display:inline-flex;align-items:center;gap:7px;min-height:30px;cursor:pointer;overflow-wrap:anywhere}
+.toggles i{width:18px;height:4px;border-radius:2px;flex:none}
+.hint{color:var(--muted);font-size:13px;margin:4px 0 0}
+.slider{max-width:760px;margin:0 auto 16px}
+.stage{position:relative;--line:var(--at,50%)}
+.stage img{display:block;width:100%;height:auto;border-radius:7px}
+.stage .over{position:absolute;inset:0;clip-path:inset(0 calc(100% - var(--line)) 0 0)}
+.stage>i{position:absolute;top:0;bottom:0;left:calc(var(--line) - 1.5px);width:3px;background:#fff;
+box-shadow:0 0 4px #000a;pointer-events:none}
+.stage>i::after{content:"";position:absolute;top:50%;left:50%;width:30px;height:30px;margin:-15px;border-radius:50%;
+background:#fff;box-shadow:0 0 5px #0009}
+.stage>span{position:absolute;top:8px;left:8px;background:#000a;color:#fff;border-radius:5px;padding:1px 8px;
+font-size:13px;pointer-events:none}
+.stage>span~span{left:auto;right:8px}
+.stage input{position:absolute;inset:0;width:100%;height:100%;margin:0;opacity:0;cursor:ew-resize;touch-action:pan-y}
 details{padding:0 16px;margin:12px 0}
 summary{cursor:pointer;padding:11px 0;font-weight:600}
 pre{font:12.5px/1.5 var(--mono);overflow:auto;max-height:70vh;margin:0 0 14px;white-space:pre}
@@ -78,6 +102,7 @@ main,header,footer{padding-left:14px;padding-right:14px}header{padding-top:24px}
 h2{margin-top:34px}.grid.small{grid-template-columns:1fr 1fr;gap:10px}
 .tiles{grid-template-columns:1fr 1fr;gap:8px}.tiles .newline{grid-column-start:auto}}
 @media print{
+.js .live,.js .slider{display:none}.js .static{display:block}
 :root{color-scheme:light;--page:#fff;--card:#fff;--ink:#000;--muted:#444;--grid:#ccc;--good:#0d5c39;--bad:#8a3511;
 --good-bg:#fff;--bad-bg:#fff;--flat-bg:#fff}body{font-size:11pt}main,header,footer{max-width:none;padding:0}
 figure,.card,.scroll,.frame{break-inside:avoid}h2,h3,.lede{break-after:avoid}

@@ -45,8 +45,20 @@ HIGHER_IS_BETTER = {"a1", "a2", "a3"}
 
 
 def loops_table(summary: dict[str, Any]) -> Table:
-    """Return the table of a run's loops: what each reached (means over sequences) and what it learned from."""
-    low = [("ATE RMSE (m)", "min"), ("RPE (m)", "min"), ("Abs Rel", "min"), ("RMSE (m)", "min"), ("δ<1.25", "max")]
+    """Return the table of a run's baselines and loops: what each reached and what it learned from.
+
+    Figures are means over sequences; those of training and of test sequences stand apart where a run has both.
+    """
+    test = [str(name) for name in summary.get("test_sequences") or []]
+    low = [
+        ("ATE RMSE (m)", "min"),
+        ("ATE, test (m)", "min"),
+        ("RPE (m)", "min"),
+        ("RPE, test (m)", "min"),
+        ("Abs Rel", "min"),
+        ("RMSE (m)", "min"),
+        ("δ<1.25", "max"),
+    ]
     titles = [
         ("loop", ""),
         ("tracked", ""),
@@ -57,9 +69,10 @@ def loops_table(summary: dict[str, Any]) -> Table:
         ("held-out loss", ""),
     ]
     table = Table("Loops", [Column(t, b) for t, b in titles])
-    loops = summary.get("loops") or []
+    loops = [*(summary.get("baselines") or []), *(summary.get("loops") or [])]
     for loop in loops:
         depth, training = loop.get("depth") or {}, loop.get("training") or {}
+        learnt = [name for name in loop.get("pose") or {} if name not in test]
         frames = sum_pose(loop, "frames")
         baselines = [float(v) for v in (loop.get("baseline") or {}).values() if v is not None]
         before, after = training.get("held_out_before"), training.get("held_out_after")
@@ -67,8 +80,10 @@ def loops_table(summary: dict[str, Any]) -> Table:
             [
                 f"{loop.get('loop', '')} {loop_name(loop)}".strip(),
                 f"{sum_pose(loop, 'tracked_frames') or 0}/{frames}" if frames else None,
-                mean_pose(loop, "ate_rmse"),
-                mean_pose(loop, "rpe_translation"),
+                mean_pose(loop, "ate_rmse", learnt),
+                mean_pose(loop, "ate_rmse", test),
+                mean_pose(loop, "rpe_translation", learnt),
+                mean_pose(loop, "rpe_translation", test),
                 depth.get("abs_rel"),
                 depth.get("rmse"),
                 depth.get("a1"),
@@ -78,19 +93,21 @@ def loops_table(summary: dict[str, Any]) -> Table:
                 f"{number(before)} → {number(after)}" if before is not None and after is not None else None,
             ]
         )
-    table.note = _loops_note(loops)
+    table.note = _loops_note(loops, test)
     return table.without_empty_columns()
 
 
-def _loops_note(loops: list[dict[str, Any]]) -> str:
+def _loops_note(loops: list[dict[str, Any]], test: list[str]) -> str:
     kinds = {p.get("alignment") for loop in loops for p in (loop.get("pose") or {}).values() if p.get("pairs")}
     names = {n for loop in loops for n in (loop.get("pose") or {})}
     parts = []
     if kinds:
         words = " and ".join(ALIGNMENT_WORDS.get(str(k), str(k)) for k in sorted(kinds, key=str))
-        parts.append(
-            f"Pose errors after {words}" + (f", means of {len(names)} sequences" if len(names) > 1 else "") + "."
-        )
+        learnt = len(names - set(test))
+        means = f", means of {len(names)} sequences" if len(names) > 1 else ""
+        if test:
+            means = f", means of {learnt} training and {len(names) - learnt} test sequences"
+        parts.append(f"Pose errors after {words}{means}.")
     depth = next((loop["depth"] for loop in reversed(loops) if (loop.get("depth") or {}).get("images")), None)
     if depth:
         parts.append(f"Depth errors: {depth_basis(depth).removeprefix('Abs Rel, ')}.")
@@ -114,7 +131,7 @@ def pose_table(summary: dict[str, Any]) -> Table:
     columns = [Column("sequence, loop"), Column("tracked"), *(Column(t, "min") for _, t in figures)]
     table = Table("Pose by sequence", [*columns, *(Column(t) for _, t in counts)])
     published: list[list[Cell]] = []
-    loops = summary.get("loops") or []
+    loops = [*(summary.get("baselines") or []), *(summary.get("loops") or [])]
     names = list(dict.fromkeys(n for loop in loops for n in (loop.get("pose") or {})))
     for name in names:
         for loop in loops:
@@ -179,12 +196,14 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
 def metrics_rows(summary: dict[str, Any]) -> list[list[Cell]]:
     """Return every figure of a summary as ``[loop, name, kind, sequence, metric, value]``."""
     rows: list[list[Cell]] = []
-    for loop in summary.get("loops") or []:
-        head: list[Cell] = [int(loop.get("loop", 0)), loop_name(loop)]
+    for loop in [*(summary.get("baselines") or []), *(summary.get("loops") or [])]:
+        head: list[Cell] = [int(loop["loop"]) if "loop" in loop else None, loop_name(loop)]
         for sequence, figures in (loop.get("pose") or {}).items():
             rows += [[*head, "pose", sequence, k, _text(v)] for k, v in figures.items() if v is not None]
         for kind in ("depth", "training"):
             rows += [[*head, kind, "", k, _text(v)] for k, v in (loop.get(kind) or {}).items() if _fits(v)]
+        for row in (loop.get("depth") or {}).get("by_cap") or []:
+            rows += [[*head, "depth", "", f"{k}@{row['cap']:g}m", row.get(k)] for k in DEPTH_TITLES]
         for kind in ("baseline", "depth_max"):
             rows += [[*head, "sensing", s, kind, v] for s, v in (loop.get(kind) or {}).items() if v is not None]
     return rows
