@@ -13,12 +13,12 @@ from tests.report.fake_run import true_poses
 
 def test_lines_break_where_frames_are_missing_and_keep_their_ends():
     frames = np.array([0, 1, 2, 10, 11, 20])
-    x, y = figures._broken(frames, frames, frames * 2.0)
+    x, y = figures.broken(frames, frames, frames * 2.0)
     np.testing.assert_array_equal(x, [0, 1, 2, np.nan, 10, 11, np.nan, 20])
     np.testing.assert_array_equal(y, x * 2)
-    assert len(figures._broken(np.zeros(0, int), np.zeros((0, 3)))[0]) == 0
+    assert len(figures.broken(np.zeros(0, int), np.zeros((0, 3)))[0]) == 0
     many = np.concatenate([np.arange(5000), np.arange(6000, 9000)])
-    (thin,) = figures._broken(many, many)
+    (thin,) = figures.broken(many, many)
     assert len(thin) < 2100
     assert {0.0, 4999.0, 6000.0, 8999.0} <= set(thin[~np.isnan(thin)])
     gap = np.flatnonzero(np.isnan(thin))
