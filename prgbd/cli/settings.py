@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from prgbd.cli.parts import Parts
     from prgbd.core.computing import Computing
     from prgbd.core.depth import DepthEstimator
+    from prgbd.loop.depth_figures import DepthProtocol
     from prgbd.loop.self_improving import LoopSettings
     from prgbd.loop.slam_runs import MapFiles
     from prgbd.loop.summary import RunIdentity
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from prgbd.training.refinement_settings import RefinementSettings
 
 
+BASELINES = ("mono", "posenet")
 TASKS = ("self_improve", "slam", "depth", "evaluate", "pretrain")
 
 WEIGHT_OPTIONS = {"half": False, "pose": True}
@@ -51,6 +53,7 @@ def check_settings(config: Mapping[str, Any]) -> None:
     _check_cache(config)
     if task == "self_improve":
         refinement_settings(config)
+        baselines(config)
     if task == "pretrain":
         pretraining_settings(config)
         for name in WEIGHT_OPTIONS:
@@ -205,7 +208,6 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
     from prgbd.loop.self_improving import LoopSettings
 
     cache = config["sensing"].get("cache")
-    evaluation = evaluation_options(config)
     return LoopSettings(
         max_loops=_whole(number({"task": {"max_loops": 0} | config["task"]}, "task.max_loops"), "task.max_loops"),
         min_improvement=number(
@@ -219,10 +221,8 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
         batch_size=batch_size(config),
         computing=computing(config),
         cache=None if cache is None else Path(cache),
-        depth_images=evaluation.depth_images,
-        depth_cap=evaluation.depth_cap,
-        depth_crop=evaluation.depth_crop,
-        alignment=evaluation.alignment,
+        depth=depth_protocol(config),
+        alignment=alignment(config),
         seed=int(config["seed"]),
         export=export_formats(config),
         maps=map_files(config),
@@ -271,45 +271,62 @@ def viewer_maker(config: Mapping[str, Any]) -> ViewerMaker | None:
     return viewer_maker(str(config.get("viz") or "none"))
 
 
-@dataclass(frozen=True)
-class EvaluationOptions:
-    """How depth and trajectories are compared with the truth.
+def baselines(config: Mapping[str, Any]) -> list[str]:
+    """Read which baselines ``task=self_improve`` runs beside the loop.
 
-    Attributes:
-        depth_images: At most this many images per sequence; None for all.
-        depth_cap: Metres.
-        depth_crop: ``none``, ``garg`` or ``eigen``.
-        alignment: ``sim3``, ``se3`` or ``none``.
+    Raises:
+        ConfigError: If one is unknown.
     """
+    value = config["task"].get("baselines") or []
+    if not isinstance(value, list | tuple) or not set(value) <= set(BASELINES):
+        raise ConfigError(f"task.baselines is {value!r}; give a list of {' and '.join(BASELINES)}, such as [mono].")
+    return [str(name) for name in dict.fromkeys(value)]
 
-    depth_images: int | None
-    depth_cap: float
-    depth_crop: str
-    alignment: str
+
+def alignment(config: Mapping[str, Any]) -> str:
+    """Read how trajectories are aligned with the truth.
+
+    Raises:
+        ConfigError: If the choice is unknown.
+    """
+    value, known = str(config["evaluation"]["alignment"]), ("sim3", "se3", "none")
+    if value not in known:
+        raise ConfigError(f"evaluation.alignment is '{value}'; choose {', '.join(known)}.")
+    return value
 
 
-def evaluation_options(config: Mapping[str, Any]) -> EvaluationOptions:
-    """Read the options of the evaluation.
+def depth_protocol(config: Mapping[str, Any]) -> DepthProtocol:
+    """Read how depth is compared with the truth.
 
     Raises:
         ConfigError: If a value cannot work.
     """
+    from prgbd.loop.depth_figures import DepthProtocol
+
     images = number(config, "evaluation.depth_images", optional=True)
-    options = EvaluationOptions(
-        depth_images=None if images is None else _whole(images, "evaluation.depth_images"),
-        depth_cap=float(number(config, "evaluation.depth_cap")),
-        depth_crop=str(config["evaluation"]["depth_crop"]),
-        alignment=str(config["evaluation"]["alignment"]),
+    median_scaling = config["evaluation"].get("median_scaling", True)
+    if not isinstance(median_scaling, bool):
+        raise ConfigError(f"evaluation.median_scaling is {median_scaling!r}; it must be true or false.")
+    return DepthProtocol(
+        images=None if images is None else _whole(images, "evaluation.depth_images"),
+        cap=float(number(config, "evaluation.depth_cap")),
+        crop=str(config["evaluation"]["depth_crop"]),
+        median_scaling=median_scaling,
+        caps=_depths(config, "depth_caps"),
+        bins=_depths(config, "depth_bins"),
     )
-    if options.depth_images is not None and options.depth_images < 1:
-        raise ConfigError(f"evaluation.depth_images is {options.depth_images}; it must be at least 1, or null for all.")
-    for key, value, known in (
-        ("alignment", options.alignment, ("sim3", "se3", "none")),
-        ("depth_crop", options.depth_crop, ("none", "garg", "eigen")),
-    ):
-        if value not in known:
-            raise ConfigError(f"evaluation.{key} is '{value}'; choose {', '.join(known)}.")
-    return options
+
+
+def _depths(config: Mapping[str, Any], name: str) -> tuple[float, ...] | None:
+    """Read a list of depths in metres, None for auto."""
+    value = config["evaluation"].get(name, "auto")
+    if value in (None, "auto"):
+        return None
+    if not isinstance(value, list | tuple):
+        raise ConfigError(f"evaluation.{name} is {value!r}; give a list of metres such as [30,50,80], or auto.")
+    if any(isinstance(item, bool) or not isinstance(item, int | float) for item in value):
+        raise ConfigError(f"evaluation.{name} is {list(value)}; its entries must be numbers of metres.")
+    return tuple(float(item) for item in value)
 
 
 def batch_size(config: Mapping[str, Any]) -> int | None:

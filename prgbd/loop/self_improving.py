@@ -17,7 +17,7 @@ from prgbd.core.export import DEFAULT_FORMATS, load_slam_result, write_slam_fold
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
 from prgbd.loop.criterion import CRITERIA, compare, stop_reason
-from prgbd.loop.depth_figures import depth_figures, write_samples
+from prgbd.loop.depth_figures import DepthProtocol, depth_figures, write_samples
 from prgbd.loop.evidence import evidence
 from prgbd.loop.monitor import Monitor, SilentMonitor
 from prgbd.loop.refining import Refiner
@@ -45,9 +45,7 @@ class LoopSettings:
         batch_size: Frames per forward pass of the sensor; None chooses by device.
         computing: Precision and speed of the sensor's network.
         cache: Folder for predicted depth that several runs share; None keeps it in the run until it is used.
-        depth_images: At most this many images per sequence are evaluated; None for all.
-        depth_cap: Metres.
-        depth_crop: ``none``, ``garg`` or ``eigen``.
+        depth: How depth is evaluated.
         alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
         seed: Seed of everything random.
         export: Formats of SLAM's results, see ``prgbd.core.export.write_slam_folder``.
@@ -67,9 +65,7 @@ class LoopSettings:
     batch_size: int | None = None
     computing: Computing = field(default_factory=Computing)
     cache: Path | None = None
-    depth_images: int | None = 100
-    depth_cap: float = 80.0
-    depth_crop: str = "none"
+    depth: DepthProtocol = field(default_factory=DepthProtocol)
     alignment: str = "sim3"
     seed: int = 0
     export: tuple[str, ...] = DEFAULT_FORMATS
@@ -90,8 +86,6 @@ class LoopSettings:
             )
         if self.max_loops and self.maps != MapFiles():
             raise ConfigError("Maps of SLAM are loaded and saved without refinement alone; add task=slam.")
-        if not self.depth_cap > 0:
-            raise ConfigError(f"evaluation.depth_cap is {self.depth_cap}; it must be positive (metres).")
 
 
 class SelfImprovingLoop:
@@ -111,6 +105,7 @@ class SelfImprovingLoop:
         test_sequences: Recordings that are sensed and evaluated in every loop but not learnt from.
         monitor: Who watches.
         make_viewer: Makes a viewer for each SLAM run.
+        more: Further entries of the summary.
     """
 
     def __init__(
@@ -126,6 +121,7 @@ class SelfImprovingLoop:
         test_sequences: list[Sequence] | None = None,
         monitor: Monitor | None = None,
         make_viewer: ViewerMaker | None = None,
+        more: Mapping[str, Any] | None = None,
     ) -> None:
         self.estimator = estimator
         self.make_slam = make_slam
@@ -138,6 +134,7 @@ class SelfImprovingLoop:
         self.monitor = monitor or SilentMonitor()
         self.make_viewer = make_viewer
         self._evidence: dict[int, dict[str, Any]] = {}
+        self.more = {"test_sequences": [sequence.name for sequence in self.test_sequences], **(more or {})}
 
     @property
     def all_sequences(self) -> list[Sequence]:
@@ -164,7 +161,7 @@ class SelfImprovingLoop:
             self.monitor.say(f"Loop {loop}: {loop_name(loop)}")
             loops.append(self._sense_and_localise(loop))
             reason = self._judge(loops, stop)
-            write_summary(self.store, self.identity, self.all_sequences, loops)
+            write_summary(self.store, self.identity, self.all_sequences, loops, more=self.more)
             if not reason and loop < self.settings.max_loops:
                 loops[-1]["training"], reason = self._refine(loop)
             if reason:
@@ -173,8 +170,9 @@ class SelfImprovingLoop:
         if stop["reason"]:
             self.monitor.say(f"Stop: {stop['reason']}")
         self._keep_best(stop["best_loop"])
+        seconds = sum(entry["seconds"] for entry in loops)
         return write_summary(
-            self.store, self.identity, self.all_sequences, loops, stop=stop, seconds=sum(e["seconds"] for e in loops)
+            self.store, self.identity, self.all_sequences, loops, stop=stop, seconds=seconds, more=self.more
         )
 
     def _judge(self, loops: list[dict[str, Any]], stop: dict[str, Any]) -> str:
@@ -293,8 +291,7 @@ class SelfImprovingLoop:
         """Depth figures on the test recordings if there are any, else on all; and pictures of all."""
         write_samples(sensors, self.store.loop(loop, "depth", "samples.npz"))
         tested = sensors[len(self.sequences) :] or sensors
-        settings = self.settings
-        return depth_figures(tested, images=settings.depth_images, cap=settings.depth_cap, crop=settings.depth_crop)
+        return depth_figures(tested, self.settings.depth)
 
     def _refine(self, loop: int) -> tuple[dict[str, Any] | None, str]:
         """Refine the network on SLAM's output of this loop; return the figures and why to stop, "" to go on."""

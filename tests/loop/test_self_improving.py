@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import ConfigError
-from prgbd.loop.depth_figures import depth_figures, evenly, write_samples
+from prgbd.loop.depth_figures import DepthProtocol, depth_figures, evenly, write_samples
 from prgbd.loop.self_improving import LoopSettings, loop_name, stop_reason
 from prgbd.loop.sensing import DepthSensor
 from tests.loop.fakes import Tiny, Wall
@@ -42,7 +42,6 @@ def test_names_are_the_paper_s():
         {"min_improvement": 1.0},
         {"baseline_percentile": 0},
         {"baseline_percentile": 101},
-        {"depth_cap": 0},
     ],
 )
 def test_settings_are_checked(wrong):
@@ -79,6 +78,6 @@ def test_depth_figures_count_images_with_truth(tmp_path):
         def depth(self, index):
             return None
 
-    figures = depth_figures([DepthSensor(Tiny(), Blind(frames=6), tmp_path, name="t")], images=None)
+    figures = depth_figures([DepthSensor(Tiny(), Blind(frames=6), tmp_path, name="t")], DepthProtocol(images=None))
     assert (figures["images"], figures["images_without_truth"]) == (3, 3)
     assert depth_figures([DepthSensor(Tiny(), NoTruth(frames=6), tmp_path, name="t")]) is None

@@ -69,11 +69,11 @@ def evaluate(
     Returns:
         The summary.
     """
-    options = settings.evaluation_options(job.config)
+    protocol = settings.depth_protocol(job.config)
 
     def work() -> dict[str, Any] | None:
         write_samples(sensors, job.store.loop(0, "depth", "samples.npz"))
-        return depth_figures(sensors, images=options.depth_images, cap=options.depth_cap, crop=options.depth_crop)
+        return depth_figures(sensors, protocol)
 
     figures = job.store.step("loops/00/depth", work)
     statistics = {sensor.sequence.name: sensor.prepare() for sensor in sensors}

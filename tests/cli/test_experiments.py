@@ -1,0 +1,85 @@
+"""The experiments of the paper's tables: what they set, and that they run on small recordings of the same layout."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from prgbd.cli.settings import check_settings, depth_protocol
+from prgbd.core.errors import ConfigError
+from prgbd.loop.depth_figures import DepthProtocol
+from tests.cli.test_config import composed
+
+
+def experiment(*arguments):
+    return composed(*arguments)
+
+
+@pytest.mark.parametrize("name", ["kitti_eigen", "kitti_odometry", "tum", "ablation"])
+def test_an_experiment_passes_the_checks_with_the_paper_s_losses(name):
+    config = experiment(f"experiment={name}", "data.root=somewhere")
+    check_settings(config)
+    assert config["training"]["learning_rate"] == 1e-6
+    assert (config["training"]["epochs"], config["loss"]["depth_transfer"], config["loss"]["smoothness"]) == (
+        1,
+        1,
+        1e-3,
+    )
+    assert config["task"]["max_loops"] == {"tum": 3, "ablation": 1}.get(name, 5)
+    header = (Path(__file__).parents[2] / f"prgbd/conf/experiment/{name}.yaml").read_text()
+    assert f"experiment={name}" in header
+
+
+def test_training_and_test_recordings_of_the_paper_are_apart():
+    for name, training, test in (("kitti_odometry", 9, 2), ("tum", 6, 2)):
+        data = experiment(f"experiment={name}", "data.root=x")["data"]
+        assert (len(data["sequences"]), len(data["test_sequences"])) == (training, test)
+        assert not set(data["sequences"]) & set(data["test_sequences"])
+
+
+def test_the_eigen_experiment_evaluates_with_the_same_protocol():
+    config = experiment("experiment=kitti_eigen", "task=evaluate", "data.root=x", "data.split=test_files.txt")
+    check_settings(config)
+    protocol = depth_protocol(config)
+    assert protocol == DepthProtocol(images=None, cap=80.0, crop="garg")
+    assert protocol.chosen_caps == (30, 40, 50, 60, 70, 80)
+
+
+def test_caps_and_bins_follow_the_range():
+    assert DepthProtocol(cap=10).chosen_caps == (2, 4, 6, 8, 10)
+    assert DepthProtocol(cap=5).chosen_bins == (0, 1, 2, 3, 4, 5)
+    assert DepthProtocol(cap=50).chosen_bins == (0, 5, 10, 15, 20, 30, 40, 50)
+    given = experiment("evaluation.depth_caps=[3,5]", "evaluation.depth_bins=[]", "evaluation.median_scaling=false")
+    assert depth_protocol(given) == DepthProtocol(median_scaling=False, caps=(3.0, 5.0), bins=())
+
+
+@pytest.mark.parametrize(
+    ("option", "named"),
+    [
+        ("evaluation.depth_cap=0", "depth_cap"),
+        ("evaluation.depth_caps=[0]", "depth_caps"),
+        ("evaluation.depth_caps=3", "depth_caps"),
+        ("evaluation.depth_caps=[a]", "depth_caps"),
+        ("evaluation.depth_bins=[3,2]", "depth_bins"),
+        ("evaluation.depth_crop=round", "depth_crop"),
+        ("evaluation.median_scaling=perhaps", "median_scaling"),
+        ("task.baselines=[stereo]", "baselines"),
+    ],
+)
+def test_a_wrong_option_is_named(option, named):
+    with pytest.raises(ConfigError, match=named):
+        check_settings(experiment("slam=orb_gtsam", "depth=monodepth2", "data=synthetic", option))
+
+
+def test_a_run_reports_caps_bins_baselines_and_test_recordings(run):
+    summary = run("task.max_loops=1", "task.baselines=[mono]", "evaluation.depth_caps=[4,8]")
+    depth = summary["loops"][-1]["depth"]
+    assert [row["cap"] for row in depth["by_cap"]] == [4, 8]
+    assert sum(row["pixels"] for row in depth["by_depth"]) > 0
+    (mono,) = summary["baselines"]
+    assert mono["name"] == "RGB SLAM"
+    assert set(mono["pose"]) == set(summary["loops"][0]["pose"])
+    for name in mono["pose"]:
+        described = json.loads((Path("run/baselines/mono/slam") / name / "slam.json").read_text())
+        assert described["mode"] == "mono"
+    assert summary["test_sequences"] == []
