@@ -34,7 +34,8 @@ class AblationTable(Callback):
         try:
             paths = ablation.join(folder)
             console = make_console()
-            console.print(tables.to_rich(ablation.ablation_table(folder)))
+            for table in ablation.ablation_tables(folder):
+                console.print(tables.to_rich(table))
             console.print(f"Table: {', '.join(str(path) for path in paths)}", highlight=False)
         except PrgbdError as error:
             complain(str(error))

@@ -16,13 +16,19 @@ def main(arguments: list[str] | None = None) -> int:
         description="Rebuild report.html and metrics.csv of a run, or join the runs below a folder into one table.",
     )
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="a run, or a folder of runs")
+    parser.add_argument("--compare", action="store_true", help="put the runs side by side on one page")
+    parser.add_argument("--out", type=Path, default=Path("comparison"), metavar="DIR", help="folder of the comparison")
     from rich.console import Console
 
     console, errors = Console(), Console(stderr=True)
     code = 0
-    for folder in parser.parse_args(arguments).folders:
+    options = parser.parse_args(arguments)
+    for folder in [None] if options.compare else options.folders:
         try:
-            report(folder, console)
+            if folder is None:
+                compare(options.folders, options.out, console)
+            else:
+                report(folder, console)
         except PrgbdError as error:
             errors.print(str(error), markup=False, highlight=False, soft_wrap=True)
             code = 2
@@ -49,8 +55,28 @@ def report(folder: Path, console: object) -> None:
         written = [write_report(folder)]
     else:
         written = list(ablation.join(folder))
-        console.print(tables.to_rich(ablation.ablation_table(folder)))
+        for table in ablation.ablation_tables(folder):
+            console.print(tables.to_rich(table))
     for path in written:
+        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+
+
+def compare(folders: list[Path], out: Path, console: object) -> None:
+    """Put several runs side by side.
+
+    Raises:
+        DataError: If fewer than two finished runs are there.
+    """
+    from rich.console import Console
+
+    from prgbd.report import tables
+    from prgbd.report.compare import write_comparison
+
+    assert isinstance(console, Console)
+    written, paths = write_comparison(folders, out)
+    for table in written:
+        console.print(tables.to_rich(table))
+    for path in paths:
         console.print(str(path), markup=False, highlight=False, soft_wrap=True)
 
 

@@ -1,4 +1,4 @@
-"""One table out of several runs: which option led to which error."""
+"""Tables out of several runs: which option led to which error."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from prgbd.report.paper import published_ablation
 from prgbd.report.reading import Run, kept_loops, mean_pose, open_run, sum_pose
 from prgbd.report.tables import Cell, Column, Table
 from prgbd.report.words import depth_basis
+
+RANGES = ("near", "far")  # below and beyond half of the depth cap
 
 # Options that differ between runs without being what was varied.
 NOT_VARIED = re.compile(r"^(hydra|run|out|output_dir|resume|progress|debug)(\.|$)")
@@ -36,7 +38,7 @@ def find_runs(folder: Path | str) -> list[Path]:
 
 
 def join(folder: Path | str) -> tuple[Path, Path, Path]:
-    """Join the runs below a folder into one table and write ``ablation.md``, ``ablation.csv`` and ``ablation.tex``.
+    """Join the runs below a folder into tables and write ``ablation.md``, ``ablation.csv`` and ``ablation.tex``.
 
     Returns:
         The three paths.
@@ -45,16 +47,20 @@ def join(folder: Path | str) -> tuple[Path, Path, Path]:
         DataError: If there is no run below the folder.
     """
     folder = Path(folder)
-    table = ablation_table(folder)
-    paths = folder / "ablation.md", folder / "ablation.csv", folder / "ablation.tex"
+    return write_tables(ablation_tables(folder), folder, "ablation")
+
+
+def write_tables(written: list[Table], folder: Path, name: str) -> tuple[Path, Path, Path]:
+    """Write tables one below the other as ``NAME.md``, ``NAME.csv`` and ``NAME.tex``; return the three paths."""
+    paths = folder / f"{name}.md", folder / f"{name}.csv", folder / f"{name}.tex"
     for path, render in zip(paths, (tables.to_markdown, tables.to_csv, tables.to_latex), strict=True):
         with atomic_path(path) as temporary:
-            temporary.write_text(render(table), encoding="utf-8")
+            temporary.write_text("\n".join(render(table) for table in written), encoding="utf-8")
     return paths
 
 
-def ablation_table(folder: Path | str) -> Table:
-    """Return the table of the runs below a folder, one row per run, labelled by what was varied.
+def ablation_tables(folder: Path | str) -> list[Table]:
+    """Return the table of the runs below a folder, and their means over the recordings where these were varied too.
 
     Raises:
         DataError: If there is no run below the folder.
@@ -62,6 +68,18 @@ def ablation_table(folder: Path | str) -> Table:
     paths = find_runs(folder)
     if not paths:
         raise DataError(f"There is no run below {folder}; name the folder of a finished run or of a multirun.")
+    table = runs_table(paths, "Ablation")
+    means = means_over_recordings(table)
+    return [table] if means is None else [table, means]
+
+
+def runs_table(paths: list[Path], title: str) -> Table:
+    """Return a table with one row per run, labelled by what was varied; a run that did not finish has an empty row.
+
+    Args:
+        paths: Folders of runs.
+        title: Of the table.
+    """
     runs: list[Run | None] = []
     for path in paths:
         try:
@@ -73,9 +91,11 @@ def ablation_table(folder: Path | str) -> Table:
         Column(tables.DEPTH_TITLES[k], "max" if k in tables.HIGHER_IS_BETTER else "min") for k in tables.DEPTH_TITLES
     ]
     pose = [Column("tracked"), Column("ATE first (m)", "min"), Column("ATE last (m)", "min")]
+    ranges = [Column(f"Sq Rel {part} {when}", "min") for part in RANGES for when in ("first", "last")]
     paper = [Column("Sq Rel (paper)"), Column("RMSE (paper)")]
-    columns = [Column("run"), Column("loops"), *pose, Column("Abs Rel first", "min"), *metrics, *paper]
-    table = Table("Ablation", columns)
+    before = [Column("Abs Rel first", "min"), Column("Sq Rel first", "min")]
+    columns = [Column("run"), Column("loops"), *pose, *before, *metrics, *ranges, *paper]
+    table = Table(title, columns)
     for label, run in zip(labels, runs, strict=True):
         published = published_ablation(label) or (None, None)
         table.rows.append([label, *(_cells(run.summary) if run else [None] * (len(columns) - 3)), *published])
@@ -86,10 +106,29 @@ def ablation_table(folder: Path | str) -> Table:
     return table.without_empty_columns()
 
 
+def means_over_recordings(table: Table) -> Table | None:
+    """Return the means of the rows that differ in ``data.sequences`` alone; None if no rows do."""
+    groups: dict[str, list[list[Cell]]] = {}
+    for row in table.rows:
+        kept = [part for part in re.split(r", (?=[\w.+]+=)", str(row[0])) if not part.startswith("data.sequences=")]
+        groups.setdefault(", ".join(kept) or "all runs", []).append(row)
+    if len(groups) == len(table.rows) or not any("data.sequences=" in str(row[0]) for row in table.rows):
+        return None
+    out = Table(f"{table.title}, means over recordings", [table.columns[0], Column("runs"), *table.columns[1:]])
+    for label, rows in groups.items():
+        cells: list[Cell] = []
+        for values in zip(*(row[1:] for row in rows), strict=True):
+            numbers = [float(v) for v in values if isinstance(v, int | float)]
+            cells.append(sum(numbers) / len(numbers) if len(numbers) == len(values) else None)
+        out.rows.append([label, len(rows), *cells])
+    out.note = "Means over the runs of a row; a figure that one of them lacks is left out."
+    return out.without_empty_columns()
+
+
 def _cells(summary: dict[str, Any]) -> list[Cell]:
     loops = kept_loops(summary)
     if not loops:
-        return [0, None, None, None, None, *[None] * len(tables.DEPTH_TITLES)]
+        return [0, *[None] * (5 + len(tables.DEPTH_TITLES) + 2 * len(RANGES))]
     first, last = loops[0], loops[-1]
     frames = sum_pose(last, "frames")
     tracked = f"{sum_pose(last, 'tracked_frames') or 0}/{frames}" if frames else None
@@ -101,7 +140,9 @@ def _cells(summary: dict[str, Any]) -> list[Cell]:
         mean_pose(first, "ate_rmse"),
         mean_pose(last, "ate_rmse"),
         before.get("abs_rel"),
+        before.get("sq_rel"),
         *[after.get(k) for k in tables.DEPTH_TITLES],
+        *[(depth.get(part) or {}).get("sq_rel") for part in RANGES for depth in (before, after)],
     ]
 
 
@@ -127,7 +168,7 @@ def _note(runs: list[Run], with_paper: bool) -> str:
 
 def run_labels(paths: list[Path]) -> list[str]:
     """Name each run by what differs: overrides, else choices of groups, else options, else the folders."""
-    for read in (_overrides, _choices, _configuration):
+    for read in (_overrides, _choices, configuration):
         options = [read(path) for path in paths]
         if not any(options):
             continue
@@ -156,7 +197,8 @@ def _choices(path: Path) -> dict[str, str]:
     return {str(k): str(v) for k, v in choices.items()} if isinstance(choices, dict) else {}
 
 
-def _configuration(path: Path) -> dict[str, str]:
+def configuration(path: Path) -> dict[str, str]:
+    """Return all options of a run, ``a.b`` -> text; empty where its ``config.yaml`` cannot be read."""
     config = _yaml(path / "config.yaml")
     return dict(_flat("", config)) if isinstance(config, dict) else {}
 

@@ -82,7 +82,7 @@ def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResul
     series, points, left_out = [], None, []
     clouds: list[Cloud] = []
     for loop, result in results:
-        aligned = _align(result.trajectory, reference)
+        aligned = align(result.trajectory, reference)
         label, colour = run.label(loop), colours[id(loop)]
         if aligned is None:
             left_out.append(label)
@@ -101,7 +101,7 @@ def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResul
     left, right = "", ""
     if paths:
         axes, unit = figures.horizontal_axes(reference.wTc), "m" if reference is truth else "map units"
-        left = _trajectories(
+        left = trajectories_html(
             name, paths, clouds[-2:], points, axes, unit, _path_caption(truth is not None, left_out), key
         )
     lines = [_timeline(run.label(loop), r, colours[id(loop)]) for loop, r in results]
@@ -124,7 +124,7 @@ def _colours(run: Run) -> dict[int, str]:
     return found | dict(zip(map(id, run.loops), figures.loop_colours(len(run.loops)), strict=True))
 
 
-def _trajectories(
+def trajectories_html(
     name: str,
     paths: list[Path3D],
     clouds: list[Cloud],
@@ -134,7 +134,18 @@ def _trajectories(
     caption: str,
     key: str,
 ) -> str:
-    """The drawing that can be turned, and the one from above for paper and for browsers without scripts."""
+    """Return the drawing that can be turned, and the one from above for paper and for browsers without scripts.
+
+    Args:
+        name: Of the sequence.
+        paths: The paths, the truth first.
+        clouds: Maps in the drawing that can be turned.
+        points: (P, 3) map points below the drawing from above, or None.
+        axes: World axes to the right and up, see ``figures.horizontal_axes``.
+        unit: Unit of lengths.
+        caption: HTML below.
+        key: Prefix of ids, unique on the page.
+    """
     drawing = figures.trajectory_figure(paths, axes, points, unit)
     svg = figures.inline_svg(figures.to_svg(drawing), f"trajectories of {name} from above", key + "t")
     view = interactive.view_html(paths, clouds, axes, unit, f"interactive trajectories and map of {name}")
@@ -159,7 +170,7 @@ def _path_caption(with_truth: bool, left_out: list[str]) -> str:
     )
 
 
-def _align(
+def align(
     estimate: Trajectory, reference: Trajectory
 ) -> tuple[Alignment, NDArray[np.int64], NDArray[np.float64]] | None:
     """Return the Sim3 alignment to the reference, the rows it rests on and their distances; None if too few."""

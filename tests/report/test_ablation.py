@@ -5,7 +5,8 @@ import pytest
 from prgbd.core.errors import DataError
 from prgbd.core.files import read_json, write_json
 from prgbd.report.__main__ import main
-from prgbd.report.ablation import ablation_table, find_runs, join, run_labels
+from prgbd.report.ablation import ablation_tables, find_runs, join, means_over_recordings, run_labels
+from prgbd.report.rendering import Column, Table
 from tests.report.fake_run import make_run
 
 
@@ -25,7 +26,7 @@ def multirun(tmp_path_factory):
 
 
 def test_one_row_per_run_labelled_by_what_varied(multirun):
-    table = ablation_table(multirun)
+    table = ablation_tables(multirun)[0]
     titles = [c.title for c in table.columns]
     rows = [dict(zip(titles, row, strict=True)) for row in table.rows]
     assert [r["run"] for r in rows] == ["loss=all", "loss=no_depth_consistency", "loss=no_photometric"]
@@ -53,6 +54,19 @@ def test_the_files_hold_the_same_table(multirun, capsys):
     assert float(rows[0]["RMSE"]) == read_json(multirun / "0/summary.json")["loops"][-1]["depth"]["rmse"]
 
 
+def test_rows_that_differ_in_the_recording_alone_are_averaged():
+    table = Table("Ablation", [Column("run"), Column("Abs Rel"), Column("Sq Rel")])
+    for world, errors in (("a", (0.1, 1.0)), ("b", (0.2, None))):
+        table.rows.append([f"data.sequences=[{world}, c], loss=all", *errors])
+        table.rows.append([f"data.sequences=[{world}, c], loss=no_photometric", 3 * errors[0], 2.0])
+    means = means_over_recordings(table)
+    assert [c.title for c in means.columns] == ["run", "runs", "Abs Rel", "Sq Rel"]
+    assert means.rows[0] == ["loss=all", 2, pytest.approx(0.15), None]
+    assert means.rows[1] == ["loss=no_photometric", 2, pytest.approx(0.45), 2.0]
+    table.rows = table.rows[:2]
+    assert means_over_recordings(table) is None
+
+
 def test_an_unfinished_run_is_a_row_without_figures(tmp_path):
     run = make_run(tmp_path / "0")
     override(run, "seed=0")
@@ -60,7 +74,7 @@ def test_an_unfinished_run_is_a_row_without_figures(tmp_path):
     other.mkdir()
     (other / "config.yaml").write_text("seed: 1\n")
     override(other, "seed=1")
-    table = ablation_table(tmp_path)
+    table = ablation_tables(tmp_path)[0]
     assert [row[0] for row in table.rows] == ["seed=0", "seed=1"]
     assert all(cell is None for cell in table.rows[1][1:])
     assert "Did not finish: seed=1." in table.note
