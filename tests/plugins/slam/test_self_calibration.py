@@ -109,3 +109,16 @@ def test_few_keyframes_are_not_asked() -> None:
     world, rig = made(500.0, 490.0, turning=True, keyframes=6)
     assert calibrate_focal_length(world, rig, 0, SIGMA) is None
     assert rig.camera.fx == 490.0
+
+
+def test_pseudo_depth_has_no_say_and_keeps_its_measurements() -> None:
+    world, rig = made(500.0, 490.0, turning=True)
+    pixels_alone, mono = made(500.0, 490.0, turning=True)
+    rig.mono, rig.baseline = False, 0.5
+    wrong = np.random.default_rng(0).uniform(5.0, 40.0, world.keyframes.u_right[: world.keyframes.count].shape)
+    world.keyframes.u_right[: world.keyframes.count] = world.keyframes.uv[: world.keyframes.count, :, 0] - wrong
+    bf = rig.bf
+    found = calibrate_focal_length(world, rig, 0, SIGMA)
+    assert found == calibrate_focal_length(pixels_alone, mono, 0, SIGMA)
+    assert rig.camera.fx == pytest.approx(500.0, rel=2e-3)
+    assert rig.bf == pytest.approx(bf)  # a right column still means the depth that was measured

@@ -109,7 +109,7 @@ class _Search:
 
 
 def calibrate_focal_length(world: Map, rig: Rig, map_id: int, sigma: float, given: float = 1.0) -> FocalLength | None:
-    """Refine the focal length together with poses and points of a monocular map, and give it to ``rig``.
+    """Refine the focal length together with poses and points of a map, by its pixels alone, and give it to ``rig``.
 
     Small errors of calibration and rectification look like a wrong focal length. They bend the trajectory in turns and
     change its scale there, far above the noise of the keypoints. A turn, or parallax in several directions, tells the
@@ -118,9 +118,12 @@ def calibrate_focal_length(world: Map, rig: Rig, map_id: int, sigma: float, give
     The pixels do not move; fx and fy keep their ratio. The length of the path stays, so that poses relative to
     keyframes stay valid. ORB-SLAM2 has no such step.
 
+    Pseudo depth, whose errors of 15 % and more would outweigh the few per cent that a focal length is off, does not
+    take part; its right columns stay as they are, so the virtual baseline is divided by the factor.
+
     Args:
         world: The map; its keyframes and points move.
-        rig: Gets the camera.
+        rig: Gets the camera, and with pseudo depth the baseline that goes with it.
         map_id: Which of the maps.
         sigma: Relative standard deviation of the focal length that the user gave.
         given: That focal length over the present one.
@@ -131,7 +134,7 @@ def calibrate_focal_length(world: Map, rig: Rig, map_id: int, sigma: float, give
     kf, pts = world.keyframes, world.points
     with world.lock:
         keyframes = np.flatnonzero(~kf.bad[: kf.count] & (kf.map_id[: kf.count] == map_id))
-        if len(keyframes) < _LEAST_KEYFRAMES or not rig.mono:
+        if len(keyframes) < _LEAST_KEYFRAMES:
             return None
         points = world.seen_by(keyframes)
         seen = world.observations(points)
@@ -145,7 +148,7 @@ def calibrate_focal_length(world: Map, rig: Rig, map_id: int, sigma: float, give
             pts.xyz[points],
             column[at],
             np.ascontiguousarray(seen[:, 2]),
-            measurements(kf.uv[at, row], kf.u_right[at, row]),
+            measurements(kf.uv[at, row], np.full(len(at), -1.0)),
             rig.inverse_variance[kf.octave[at, row]],
             rig.intrinsics,
         )
@@ -161,6 +164,7 @@ def calibrate_focal_length(world: Map, rig: Rig, map_id: int, sigma: float, give
         world.refresh(points[~pts.bad[points]])
         c = rig.camera
         rig.camera = replace(c, fx=c.fx * found.factor, fy=c.fy * found.factor)
+        rig.baseline /= found.factor
     log.info("Focal length refined by a factor of %.4f (+-%.4f).", found.factor, found.deviation)
     return found
 

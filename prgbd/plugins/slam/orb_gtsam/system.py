@@ -36,6 +36,9 @@ from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
 from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
 from prgbd.plugins.slam.orb_gtsam.virtual_baseline import RunningBaseline, follow_baseline, set_baseline
 
+# Modes whose last adjustment asks whether the focal length fits; a sensor's depth says where it does not.
+_SELF_CALIBRATED = ("mono", "pseudo_rgbd")
+
 
 class OrbGtsamSLAM(GeometricSLAM):
     """ORB-SLAM2's ideas in Python: numba for what runs per feature, GTSAM for the whole map.
@@ -76,7 +79,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self.close()
         announce_compilation()
         settings = self.settings
-        self._given = camera
+        self._given, self._mode = camera, mode
         self._reader = FrameReader(settings, camera, mode)
         extractor = self._reader.left
         self._running = RunningBaseline() if running else None
@@ -200,9 +203,9 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._require_ready()
         self._backend.drain()
         self._backend.close()
-        history, stats = self._frontend.history, dict[str, Any]()
+        history, stats = self._frontend.history, dict[str, Any](baseline=self._rig.baseline)
         if self.settings.full_ba and not self.settings.localise_only:
-            if self._rig.mono and self.settings.focal_length_sigma > 0:
+            if self._mode in _SELF_CALIBRATED and self.settings.focal_length_sigma > 0:
                 with self._watch("self_calibration"):
                     stats["focal_length"] = self_calibrate(self._map, self._rig, self.settings.focal_length_sigma)
             with self._watch("full_ba"):
@@ -217,7 +220,6 @@ class OrbGtsamSLAM(GeometricSLAM):
         if not self._rig.mono:
             error = depth_error(self._map, self._rig)
             stats["depth_error"] = None if error is None else asdict(error)
-        stats["baseline"] = self._rig.baseline
         result = history.result(self._map, self._rig, stats)
         self._ready = False
         return result
