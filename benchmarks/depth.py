@@ -7,8 +7,9 @@ Examples:
     python benchmarks/depth.py --images FOLDER --weights WEIGHTS --size 320x256 --json depth.json
 
 All variants run in one process and take turns, so that a busy machine is busy for all; a ratio is the median over the
-rounds. Inference is the whole pass over a recording: decode, resize, predict, and (ours) write the cache. A training
-step is forward, backward and Adam on triplets in memory. Depth and loss are compared with the plain program's.
+rounds. Inference is measured twice: the network alone, on images in memory, and the whole pass over a recording, which
+decodes, resizes, predicts, and (ours) writes the cache. A training step is forward, backward and Adam on triplets in
+memory. Depth and loss are compared with the plain program's.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from depth_plain import PlainStep, predicted
+from depth_plain import PlainStep, predicted, prepared
 from slam_measuring import forget_peak, peak_mib
 
 import prgbd
@@ -51,7 +52,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", default="640x192", metavar="WxH", help="of the network's input (default 640x192)")
     parser.add_argument("--batch", type=int, default=4, metavar="N", help="triplets per training step (default 4)")
-    parser.add_argument("--frames", type=int, default=12, metavar="N", help="frames per inference round (default 12)")
+    parser.add_argument("--frames", type=int, default=24, metavar="N", help="frames per inference round (default 24)")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="turns of every variant (default 5)")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="of PyTorch; default: what it takes itself")
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
@@ -130,12 +131,41 @@ def half(device: torch.device) -> str:
     return "float16" if device.type == "cuda" else "float32"
 
 
-def inference(chosen: argparse.Namespace, network: DepthEstimator, sequence: Sequence, folder: Path) -> list[Variant]:
-    """The plain pass and the sensor's."""
+def computings(chosen: argparse.Namespace) -> dict[str, Computing]:
+    """Our ways to predict, by their names."""
     device = torch.device(chosen.device)
     ways = {"ours, exact": Computing(), f"ours, {half(device)}": Computing(half(device), channels_last=True)}
     if chosen.compile:
         ways[f"ours, {half(device)}, compiled"] = Computing(half(device), channels_last=True, compile=True)
+    return ways
+
+
+def network_alone(chosen: argparse.Namespace, network: DepthEstimator, sequence: Sequence) -> list[Variant]:
+    """The network on images that lie in memory, in the batches that the sensor makes; the plain program takes one."""
+    device = torch.device(chosen.device)
+    network.eval()
+    images = torch.cat([prepared(network, sequence, index) for index in range(len(sequence))])
+
+    def ours(way: Computing) -> Callable[[int], Callable[[], Any]]:
+        size = DepthSensor.automatic_batch_size(way, device)
+
+        def work() -> Any:
+            with way.applied(network, device, print):
+                batches = [network(way.arranged(batch)).depth[:, 0] for batch in images.split(size)]
+            return torch.cat(batches).float().cpu().numpy()
+
+        return lambda turn: work
+
+    def plain() -> Any:
+        with torch.no_grad():
+            return torch.cat([network(image[None]).depth[:, 0] for image in images]).cpu().numpy()
+
+    ways = computings(chosen)
+    return [Variant("plain float32", lambda turn: plain), *(Variant(name, ours(way)) for name, way in ways.items())]
+
+
+def inference(chosen: argparse.Namespace, network: DepthEstimator, sequence: Sequence, folder: Path) -> list[Variant]:
+    """The plain pass and the sensor's."""
 
     def sensed(way: Computing) -> Callable[[int], Callable[[], Any]]:
         def make(turn: int) -> Callable[[], Any]:
@@ -153,7 +183,7 @@ def inference(chosen: argparse.Namespace, network: DepthEstimator, sequence: Seq
         return make
 
     plain = Variant("plain float32", lambda turn: lambda: np.stack(list(predicted(network, sequence))))
-    return [plain, *(Variant(name, sensed(way)) for name, way in ways.items())]
+    return [plain, *(Variant(name, sensed(way)) for name, way in computings(chosen).items())]
 
 
 def training(chosen: argparse.Namespace, network: DepthEstimator, sequence: Sequence) -> list[Variant]:
@@ -260,8 +290,9 @@ def print_table(title: str, rows: list[dict[str, Any]]) -> None:
 
 def print_loop(found: dict[str, list[dict[str, Any]]]) -> None:
     """Print what the best variant makes of one loop's share of the network."""
-    best = {name: max(row["images_per_s"] for row in rows) for name, rows in found.items()}
-    plain = {name: rows[0]["images_per_s"] for name, rows in found.items()}
+    parts_of_it = {name: rows for name, rows in found.items() if name != "network"}
+    best = {name: max(row["images_per_s"] for row in rows) for name, rows in parts_of_it.items()}
+    plain = {name: rows[0]["images_per_s"] for name, rows in parts_of_it.items()}
     print(f"\nThe network's part of one loop, per {KEYFRAMES} images and {KEYFRAMES} triplets, without SLAM:")
     for label, rates in (("plain float32", plain), ("ours, fastest", best)):
         parts = [f"{name} {KEYFRAMES / rate:.0f} s" for name, rate in rates.items()]
@@ -296,10 +327,14 @@ def run(chosen: argparse.Namespace, folder: Path) -> dict[str, Any]:
     print(f"monodepth2 {chosen.size}, {where}, PyTorch {torch.__version__}, median of {chosen.rounds} rounds in turns")
     found = {}
     if chosen.only != "training":
+        variants = network_alone(chosen, network, sequence)
+        measure(variants, chosen.rounds, device)
+        found["network"] = figures(variants, len(sequence))
+        print_table(f"The network alone, {len(sequence)} images", found["network"])
         variants = inference(chosen, network, sequence, folder)
         measure(variants, chosen.rounds, device)
         found["inference"] = figures(variants, len(sequence))
-        print_table(f"Pseudo-depth of {len(sequence)} frames, one after the other", found["inference"])
+        print_table(f"Pseudo-depth of a recording of {len(sequence)} frames, from file to cache", found["inference"])
     if chosen.only != "inference":
         variants = training(chosen, network, sequence)
         measure(variants, chosen.rounds, device)

@@ -22,14 +22,18 @@ from prgbd.core.depth import DepthEstimator
 
 def predicted(network: DepthEstimator, sequence: Sequence) -> Iterator[NDArray[np.float32]]:
     """Predict the depth of frame after frame: decode, resize, compute."""
-    height, width = network.input_size
-    device = next(network.parameters()).device
     network.eval()
     with torch.no_grad():
         for index in range(len(sequence)):
-            image = cv2.resize(sequence.frame(index).image, (width, height), interpolation=cv2.INTER_AREA)
-            batch = torch.from_numpy(image).permute(2, 0, 1)[None].to(device).float() / 255
-            yield network(batch.contiguous()).depth[0, 0].cpu().numpy()
+            yield network(prepared(network, sequence, index)).depth[0, 0].cpu().numpy()
+
+
+def prepared(network: DepthEstimator, sequence: Sequence, index: int) -> Tensor:
+    """Decode a frame and resize it to (1, 3, H, W) float32 on the network's device."""
+    height, width = network.input_size
+    image = cv2.resize(sequence.frame(index).image, (width, height), interpolation=cv2.INTER_AREA)
+    batch = torch.from_numpy(image).permute(2, 0, 1)[None].to(next(network.parameters()).device).float() / 255
+    return batch.contiguous()
 
 
 class PlainStep:

@@ -27,7 +27,7 @@ class Computing:
     Attributes:
         precision: ``float32``, ``bfloat16``, ``float16``, or ``auto``: bfloat16 where the processor computes in it
             (AVX-512 BF16 or AMX; a GPU from Ampere on), float32 elsewhere. The same on one machine every time.
-        channels_last: Give images to the network with the channels innermost; convolutions are mostly faster so.
+        channels_last: Keep images and weights with the channels innermost; convolutions are mostly faster so.
         compile: Compile the network with ``torch.compile`` at its first use, which takes about a minute.
 
     Raises:
@@ -78,11 +78,27 @@ class Computing:
             # Autocast keeps the weights that it has converted until its block ends, but not in inference mode.
             modes = [torch.no_grad(), torch.autocast(device.type, dtype)]
         with contextlib.ExitStack() as stack:
+            if self.channels_last:
+                stack.enter_context(_weights_channels_last(network))
             for mode in modes:
                 stack.enter_context(mode)
             if self.compile:
                 stack.enter_context(compiled(network, say))
             yield
+
+
+@contextlib.contextmanager
+def _weights_channels_last(network: nn.Module) -> Iterator[None]:
+    """Keep convolution weights with the channels innermost within the block: else every pass copies them so."""
+    weights = [p for p in network.parameters() if p.dim() == 4]
+    before = [p.data for p in weights]
+    try:
+        for weight in weights:
+            weight.data = weight.data.contiguous(memory_format=torch.channels_last)
+        yield
+    finally:
+        for weight, data in zip(weights, before, strict=True):
+            weight.data = data
 
 
 def computes_bfloat16(device: torch.device) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 from collections import deque
 from collections.abc import Generator, Iterator
 from collections.abc import Sequence as Many
@@ -81,7 +82,8 @@ class DepthSensor:
         cache: Folder for the file of predicted depth. The name holds the plug-in, its weights and the recording.
         name: Id of the depth plug-in, for messages and the cache's name.
         percentile: d_max is this percentile of all predicted depths; 100 is the paper's largest depth.
-        batch_size: Frames per forward pass; None is 1 on the CPU and 8 on a GPU.
+        batch_size: Frames per forward pass; None is 8 on a GPU, 1 on the CPU, and there 4 in half precision, where a
+            pass spends more of its time on the weights.
         monitor: Who watches.
         computing: Precision and speed of the network; by default exact.
     """
@@ -105,13 +107,20 @@ class DepthSensor:
         self._monitor = monitor or SilentMonitor()
         self._computing = computing or Computing()
         self._device = next((p.device for p in estimator.parameters()), torch.device("cpu"))
-        self._batch_size = batch_size or (1 if self._device.type == "cpu" else 8)
+        self._batch_size = batch_size or self.automatic_batch_size(self._computing, self._device)
         key = cache_key(estimator, sequence, name, self._computing.description(self._device))
         stem = f"{sequence.name}-{key}"
         self.path = cache / f"{stem}.npy"
         self._statistics_path = cache / f"{stem}.json"
         self._inverse: NDArray[np.float32] | None = None
         self._statistics: DepthStatistics | None = None
+
+    @staticmethod
+    def automatic_batch_size(computing: Computing, device: torch.device) -> int:
+        """Return how many frames a forward pass takes unless one is told."""
+        if device.type != "cpu":
+            return 8
+        return 1 if computing.dtype(device) == torch.float32 else 4
 
     def prepare(self) -> DepthStatistics:
         """Predict depth for the whole sequence unless it is in the cache.
@@ -195,7 +204,7 @@ class DepthSensor:
             self.estimator.train(was_training)
 
     def _decoded(self) -> Generator[Batch]:
-        """Yield decoded batches; a thread of its own is ahead by a few."""
+        """Yield decoded batches; a thread of its own is ahead by a few where the network leaves a core to it."""
         brings_predict = type(self.estimator).predict is not DepthEstimator.predict
 
         def decode(indices: range) -> Batch:
@@ -205,6 +214,11 @@ class DepthSensor:
             return indices, images, torch.stack([self.estimator.preprocess(image) for image in images])
 
         count, size = len(self.sequence), self._batch_size
+        if self._device.type == "cpu" and torch.get_num_threads() >= (os.cpu_count() or 1):
+            # A thread beside convolutions that take every core makes all of them wait for the one it sits on.
+            for start in range(0, count, size):
+                yield decode(range(start, min(start + size, count)))
+            return
         with ThreadPoolExecutor(1, "decode") as thread:
             ahead: deque[Future[Batch]] = deque()
             for start in range(0, count, size):

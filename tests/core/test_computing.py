@@ -57,6 +57,16 @@ def test_channels_last_changes_the_last_digits_at_most(network, images):
     assert torch.allclose(plain, other, rtol=1e-4)
 
 
+def test_weights_have_the_channels_innermost_within_the_block_alone(network, images):
+    conv = next(m for m in network.modules() if isinstance(m, torch.nn.Conv2d) and m.in_channels > 1)
+    with Computing(channels_last=True).applied(network, CPU, print):
+        assert conv.weight.is_contiguous(memory_format=torch.channels_last)
+    assert conv.weight.is_contiguous()
+    with pytest.raises(ZeroDivisionError), Computing(channels_last=True).applied(network, CPU, print):
+        raise ZeroDivisionError
+    assert conv.weight.is_contiguous()
+
+
 def test_auto_is_bfloat16_where_the_processor_has_it(monkeypatch):
     for supported, dtype in ((True, torch.bfloat16), (False, torch.float32)):
         monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda supported=supported: supported)

@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 import pytest
 import torch
@@ -62,6 +64,23 @@ def test_batches_make_no_difference(tmp_path, size):
     network = Tiny()
     one = make(network, tmp_path / "b", batch_size=1).depth(3)
     np.testing.assert_allclose(make(network, tmp_path / "c", batch_size=size).depth(3), one, rtol=1e-5)
+
+
+@pytest.mark.parametrize("threads", [1, 64])
+def test_frames_come_in_order_whether_a_thread_decodes_or_not(tmp_path, monkeypatch, threads):
+    monkeypatch.setattr("prgbd.loop.sensing.torch.get_num_threads", lambda: threads)
+    monkeypatch.setattr("prgbd.loop.sensing.os.cpu_count", lambda: 8)
+    decoded = []
+    sensor = make(Tiny(), tmp_path)
+    frame = sensor.sequence.frame
+
+    def noted(index):
+        decoded.append((index, threading.current_thread() is threading.main_thread()))
+        return frame(index)
+
+    monkeypatch.setattr(sensor.sequence, "frame", noted)
+    sensor.prepare()
+    assert decoded == [(index, threads == 64) for index in range(5)]
 
 
 def test_a_frame_is_predicted_once_and_again_only_for_other_weights_or_frames(tmp_path):
@@ -162,8 +181,8 @@ def test_the_network_is_called_as_chosen_and_left_as_it_was(tmp_path):
     network = Sensed().train()
     make(network, tmp_path, computing=Computing("bfloat16", channels_last=True)).prepare()
     make(network, tmp_path, computing=Computing()).prepare()
-    assert set(network.calls[:5]) == {(True, False, False, True)}
-    assert set(network.calls[5:]) == {(False, False, False, False)}
+    assert network.calls[:2] == [(True, False, False, True)] * 2  # four frames and one
+    assert network.calls[2:] == [(False, False, False, False)] * 5
     assert network.training
     assert torch.is_grad_enabled()
     assert not torch.is_autocast_enabled("cpu")

@@ -26,7 +26,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.ui
     """
     image = _decode(path, cv2.IMREAD_COLOR)
     _check_size(path, image, size)
-    return np.ascontiguousarray(image[..., ::-1])
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def read_depth(path: Path, unit: float, size: tuple[int, int], invalid: tuple[int, ...] = (0,)) -> NDArray[np.float32]:
