@@ -9,8 +9,8 @@ from typing import Any
 from prgbd.core.errors import DataError
 from prgbd.core.files import atomic_path
 from prgbd.report import tables
-from prgbd.report.paper import published_ablation
-from prgbd.report.reading import Run, kept_loops, mean_pose, open_run, sum_pose
+from prgbd.report.paper import published_ablation, published_refinement
+from prgbd.report.reading import Run, judged_sequences, kept_loops, mean_pose, open_run, sum_pose
 from prgbd.report.tables import Cell, Column, Table
 from prgbd.report.words import depth_basis
 
@@ -80,13 +80,35 @@ def runs_table(paths: list[Path], title: str) -> Table:
         paths: Folders of runs.
         title: Of the table.
     """
-    runs: list[Run | None] = []
-    for path in paths:
-        try:
-            runs.append(open_run(path))
-        except DataError:
-            runs.append(None)
+    runs = [_opened(path) for path in paths]
     labels = run_labels(paths)
+    columns = _columns()
+    table = Table(title, columns)
+    for label, run in zip(labels, runs, strict=True):
+        published = published_ablation(label) or (None, None)
+        table.rows.append([label, *(_cells(run.summary) if run else [None] * (len(columns) - 3)), *published])
+    table.contenders = len(table.rows)
+    finished = [run for run in runs if run]
+    with_paper = any(published_ablation(label) for label in labels)
+    table.note = _note(finished, with_paper)
+    unfinished = [label for label, run in zip(labels, runs, strict=True) if run is None]
+    if unfinished:
+        table.note += f" Did not finish: {', '.join(unfinished)}."
+    paper = None if with_paper else _paper_row(finished, table)
+    if paper is not None:
+        table.rows.append(paper)
+        table.note += " Paper: Monodepth2 before, pRGBD-Refined after the loops, on the whole test set."
+    return table.without_empty_columns()
+
+
+def _opened(path: Path) -> Run | None:
+    try:
+        return open_run(path)
+    except DataError:
+        return None
+
+
+def _columns() -> list[Column]:
     metrics = [
         Column(tables.DEPTH_TITLES[k], "max" if k in tables.HIGHER_IS_BETTER else "min") for k in tables.DEPTH_TITLES
     ]
@@ -94,25 +116,39 @@ def runs_table(paths: list[Path], title: str) -> Table:
     ranges = [Column(f"Sq Rel {part} {when}", "min") for part in RANGES for when in ("first", "last")]
     paper = [Column("Sq Rel (paper)"), Column("RMSE (paper)")]
     before = [Column("Abs Rel first", "min"), Column("Sq Rel first", "min")]
-    columns = [Column("run"), Column("loops"), *pose, *before, *metrics, *ranges, *paper]
-    table = Table(title, columns)
-    for label, run in zip(labels, runs, strict=True):
-        published = published_ablation(label) or (None, None)
-        table.rows.append([label, *(_cells(run.summary) if run else [None] * (len(columns) - 3)), *published])
-    table.note = _note([run for run in runs if run], any(published_ablation(label) for label in labels))
-    unfinished = [label for label, run in zip(labels, runs, strict=True) if run is None]
-    if unfinished:
-        table.note += f" Did not finish: {', '.join(unfinished)}."
-    return table.without_empty_columns()
+    return [Column("run"), Column("loops"), *pose, *before, *metrics, *ranges, *paper]
+
+
+def _paper_row(runs: list[Run], table: Table) -> list[Cell] | None:
+    """Return what the paper reached on the data of all runs, for the columns in which a run has a figure."""
+    evaluated = {(run.summary.get("data"), tuple(_judged(run.summary))) for run in runs}
+    if len(evaluated) != 1:
+        return None
+    published = published_refinement(*evaluated.pop())
+    keys = ["", "", "", "ate_first", "ate_last", "abs_rel_first", "sq_rel_first", *tables.DEPTH_TITLES]
+    row: list[Cell] = [published.get(key) for key in keys]
+    row += [None] * (len(table.columns) - len(row))
+    for i in range(len(row)):
+        if all(other[i] is None for other in table.rows):
+            row[i] = None
+    if all(cell is None for cell in row):
+        return None
+    row[0] = "Tiwari et al. (paper)"
+    return row
+
+
+def _judged(summary: dict[str, Any]) -> list[str]:
+    return judged_sequences(summary) or [str(name) for name in summary.get("sequences") or []]
 
 
 def means_over_recordings(table: Table) -> Table | None:
     """Return the means of the rows that differ in ``data.sequences`` alone; None if no rows do."""
     groups: dict[str, list[list[Cell]]] = {}
-    for row in table.rows:
+    for row in table.rows[: table.contenders]:
         kept = [part for part in re.split(r", (?=[\w.+]+=)", str(row[0])) if not part.startswith("data.sequences=")]
         groups.setdefault(", ".join(kept) or "all runs", []).append(row)
-    if len(groups) == len(table.rows) or not any("data.sequences=" in str(row[0]) for row in table.rows):
+    runs = sum(map(len, groups.values()))
+    if len(groups) == runs or not any("data.sequences=" in str(row[0]) for row in table.rows):
         return None
     out = Table(f"{table.title}, means over recordings", [table.columns[0], Column("runs"), *table.columns[1:]])
     for label, rows in groups.items():
@@ -129,16 +165,16 @@ def _cells(summary: dict[str, Any]) -> list[Cell]:
     loops = kept_loops(summary)
     if not loops:
         return [0, *[None] * (5 + len(tables.DEPTH_TITLES) + 2 * len(RANGES))]
-    first, last = loops[0], loops[-1]
-    frames = sum_pose(last, "frames")
-    tracked = f"{sum_pose(last, 'tracked_frames') or 0}/{frames}" if frames else None
+    first, last, judged = loops[0], loops[-1], judged_sequences(summary)
+    frames = sum_pose(last, "frames", judged)
+    tracked = f"{sum_pose(last, 'tracked_frames', judged) or 0}/{frames}" if frames else None
     depths = [d for d in (loop.get("depth") for loop in loops) if d and d.get("images")]
     before, after = (depths[0], depths[-1]) if depths else ({}, {})
     return [
         len(loops) - 1,
         tracked,
-        mean_pose(first, "ate_rmse"),
-        mean_pose(last, "ate_rmse"),
+        mean_pose(first, "ate_rmse", judged),
+        mean_pose(last, "ate_rmse", judged),
         before.get("abs_rel"),
         before.get("sq_rel"),
         *[after.get(k) for k in tables.DEPTH_TITLES],
@@ -158,7 +194,8 @@ def _note(runs: list[Run], with_paper: bool) -> str:
     }
     parts = ["First: before any refinement; last: after the last loop that is kept."]
     if kinds:
-        parts.append(f"ATE RMSE, alignment {' and '.join(sorted(kinds))}, mean over sequences.")
+        which = "test sequences" if any(judged_sequences(run.summary) for run in runs) else "sequences"
+        parts.append(f"ATE RMSE, alignment {' and '.join(sorted(kinds))}, mean over {which}.")
     if protocols:
         parts.append(f"Depth after the last loop: {'; '.join(sorted(protocols))}.")
     if with_paper:

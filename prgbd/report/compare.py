@@ -45,7 +45,7 @@ def write_comparison(folders: list[Path], out: Path) -> tuple[list[Table], list[
     runs = [open_run(path) for path in finished]
     labels = _labels(finished)
     table = ablation.runs_table(finished, "Runs")
-    for row, label in zip(table.rows, labels, strict=True):
+    for row, label in zip(table.rows, labels, strict=False):  # behind the runs there may be the paper
         row[0] = label
     out.mkdir(parents=True, exist_ok=True)
     settings = settings_table(finished, labels)

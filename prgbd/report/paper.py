@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
+
+METRICS = ("abs_rel", "sq_rel", "rmse", "rmse_log", "a1", "a2", "a3")
 
 # Sequence: {system: (ATE RMSE in m or None for a tracking failure, Rel Tr in %, Rel Rot in deg/m)}
 KITTI_POSE: dict[str, dict[str, tuple[float | None, float | None, float | None]]] = {
@@ -84,6 +87,31 @@ def published_depth(summary: dict[str, Any]) -> tuple[str, dict[str, tuple[float
     if data == "tum_rgbd" and not any(s.endswith(name) for s in sequences for name in TUM_POSE):
         return None
     return DEPTH.get(str(data))
+
+
+def published_refinement(data: str | None, sequences: Iterable[str]) -> dict[str, float]:
+    """Return what the paper's loops made of a set of test recordings, beside which a run's first and last loop stand.
+
+    Args:
+        data: Id of the data plug-in.
+        sequences: The recordings whose mean is compared.
+
+    Returns:
+        ``ate_first`` and ``ate_last`` (m, means over the recordings; absent unless each of them is published),
+        ``abs_rel_first`` and so on for the pre-trained network, ``abs_rel`` and so on for the refined one.
+    """
+    out: dict[str, float] = {}
+    names = list(sequences)
+    for key, system in (("ate_first", "pRGBD-Initial"), ("ate_last", "pRGBD-Refined")):
+        errors = [published_pose(data, name).get(system, (None,))[0] for name in names]
+        known = [error for error in errors if error is not None]
+        if known and len(known) == len(names):
+            out[key] = sum(known) / len(known)
+    depth = published_depth({"data": data, "sequences": names})
+    if depth is not None:
+        out |= {f"{metric}_first": value for metric, value in zip(METRICS, depth[1]["MonoDepth2-M"], strict=True)}
+        out |= dict(zip(METRICS, depth[1]["pRGBD-Refined"], strict=True))
+    return out
 
 
 def published_ablation(label: str) -> tuple[float, float] | None:

@@ -174,6 +174,14 @@ def kept_loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
     return loops[: at[0] + 1] if at and best is not None else loops
 
 
+def judged_sequences(summary: dict[str, Any]) -> list[str] | None:
+    """Return the recordings that the run's figures are about: the test recordings, None (all) without any.
+
+    A network knows the recordings that it was trained on, so their errors say nothing about other ones.
+    """
+    return [str(name) for name in summary.get("test_sequences") or []] or None
+
+
 def mean_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = None) -> float | None:
     """Return the mean of a pose figure over the sequences that have it (or over ``sequences``), None without any."""
     pose = loop.get("pose") or {}
@@ -190,10 +198,13 @@ def sum_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = N
     return int(sum(values)) if values else None
 
 
-def compared_sequences(first: dict[str, Any], last: dict[str, Any]) -> list[str]:
-    """Return the sequences that have an ATE in both loops, so that means of the two compare like with like."""
+def compared_sequences(
+    first: dict[str, Any], last: dict[str, Any], sequences: Iterable[str] | None = None
+) -> list[str]:
+    """Return the sequences with an ATE in both loops, of ``sequences`` or all: means must compare like with like."""
     a, b = first.get("pose") or {}, last.get("pose") or {}
-    return [n for n in a if n in b and a[n].get("ate_rmse") is not None and b[n].get("ate_rmse") is not None]
+    names = [n for n in (a if sequences is None else sequences) if n in a and n in b]
+    return [n for n in names if a[n].get("ate_rmse") is not None and b[n].get("ate_rmse") is not None]
 
 
 def loop_name(loop: dict[str, Any]) -> str:

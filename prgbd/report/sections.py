@@ -233,13 +233,31 @@ def depth_ranges_section(run: Run) -> str:
         if bins:
             figure = range_figures.bin_figure(f"{title} by distance", bins, metric)
             drawn.append(figure_html(figure, f"{title} by true depth", "", f"b{i}-"))
+    drawn += _by_loop_and_cap(run)
     if not drawn:
         return ""
     lede = (
         "By cap: the whole protocol with the truth cut off at that depth, means over images. By distance: all pixels "
-        "whose true depth lies in that range, after the scaling of the headline cap."
+        "whose true depth lies in that range, after the scaling of the headline cap. By loop: the first of these, with "
+        "one line per cap."
     )
     return f'<h3>Depth by range</h3><p class="lede">{lede}</p><div class="grid medium">{"".join(drawn)}</div>'
+
+
+def _by_loop_and_cap(run: Run) -> list[str]:
+    """Return the curves of the paper's second figure: metrics over the loops, one line per cap."""
+    found = [(loop.get("depth") or {}).get("by_cap") or [] for loop in run.loops]
+    caps = list(dict.fromkeys(row["cap"] for rows in found for row in rows))
+    drawn = []
+    for i, (metric, title) in enumerate((("abs_rel", "Abs Rel"), ("sq_rel", "Sq Rel (m)"), ("rmse", "RMSE (m)"))):
+        curves = {
+            f"{cap:g} m": [next((row.get(metric) for row in rows if row["cap"] == cap), None) for rows in found]
+            for cap in caps
+        }
+        if len(found) > 1 and caps:
+            figure = figures.metric_figure(f"{title} by loop and cap", curves)
+            drawn.append(figure_html(figure, f"{title} by loop, a line per depth cap", "", f"lc{i}-"))
+    return drawn
 
 
 def _frame(row: pictures.DepthRow, width: int) -> str:

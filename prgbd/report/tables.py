@@ -130,22 +130,21 @@ def pose_table(summary: dict[str, Any]) -> Table:
     counts = [("scale", "scale"), ("pairs", "pairs"), ("keyframes", "keyframes"), ("points", "points"), ("fps", "fps")]
     columns = [Column("sequence, loop"), Column("tracked"), *(Column(t, "min") for _, t in figures)]
     table = Table("Pose by sequence", [*columns, *(Column(t) for _, t in counts)])
-    published: list[list[Cell]] = []
     loops = [*(summary.get("baselines") or []), *(summary.get("loops") or [])]
     names = list(dict.fromkeys(n for loop in loops for n in (loop.get("pose") or {})))
     for name in names:
+        ours = len(table.rows)
         for loop in loops:
             pose = (loop.get("pose") or {}).get(name)
             if pose is not None:
                 tracked = f"{pose.get('tracked_frames', 0)}/{pose.get('frames', 0)}"
                 cells = [_plain(pose.get(key)) for key, _ in figures + counts]
                 table.rows.append([f"{name}, {loop_name(loop)}", tracked, *cells])
+        # Different sequences do not compete with each other, so only a single one gets its best figures emphasised.
+        table.contenders = len(table.rows) - ours if len(names) == 1 else 0
         for system, (ate, translation, rotation) in published_pose(summary.get("data"), name).items():
             tail: list[Cell] = [None, None, None, None, translation, rotation, *[None] * len(counts)]
-            published.append([f"{name}, {system} (paper)", "failed" if ate is None else None, ate, *tail])
-    # Different sequences do not compete with each other, so only a single one gets its best figures emphasised.
-    table.contenders = len(table.rows) if len(names) == 1 else 0
-    table.rows += published
+            table.rows.append([f"{name}, {system} (paper)", "failed" if ate is None else None, ate, *tail])
     table.note = (
         "ATE: absolute trajectory error after alignment. RPE: error from one frame to the next. Rel Tr and Rel Rot: "
         "KITTI odometry benchmark over 100–800 m."

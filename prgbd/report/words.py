@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from prgbd.report.reading import compared_sequences, kept_loops, loop_name, mean_pose, sum_pose
+from prgbd.report.reading import compared_sequences, judged_sequences, kept_loops, loop_name, mean_pose, sum_pose
 
 SAME = 0.01  # a change below 1 % is called no change
 ALIGNMENT_WORDS = {"sim3": "Sim3 alignment", "se3": "SE3 alignment", "none": "no alignment"}
@@ -57,12 +57,16 @@ def frames_text(loop: dict[str, Any], sequences: list[str]) -> str:
 
 
 def pose_change(summary: dict[str, Any]) -> Change | None:
-    """Return the change of the mean ATE RMSE over the sequences that have one in the first and the kept loop."""
+    """Return the change of the mean ATE RMSE over the sequences that have one in the first and the kept loop.
+
+    Where a run has test recordings the mean is over these alone.
+    """
     loops = kept_loops(summary)
     if not loops:
         return None
     first, last = loops[0], loops[-1]
-    names = compared_sequences(first, last)
+    judged = judged_sequences(summary)
+    names = compared_sequences(first, last, judged)
     before, after = mean_pose(first, "ate_rmse", names), mean_pose(last, "ate_rmse", names)
     if before is None or after is None:
         return None
@@ -73,7 +77,8 @@ def pose_change(summary: dict[str, Any]) -> Change | None:
         basis = f"{frames.pop()} frames"
     else:
         basis = f"{frames_text(first, names)} frames before and {frames_text(last, names)} after"
-    average = f", mean of {len(names)} sequences" if len(names) > 1 else ""
+    kind = "test sequence" if judged else "sequence"
+    average = f", mean of {len(names)} {kind}s" if len(names) > 1 else f", {kind} {names[0]}" if judged else ""
     return Change(before, after, f"ATE RMSE, {alignment}, {basis}{average}", " m")
 
 
@@ -117,8 +122,8 @@ def describe(summary: dict[str, Any]) -> list[str]:
         rounds = len(loops) - 1
         if told:
             sentences.append(f"Over {rounds} loop{'s' * (rounds != 1)} the {told}.")
-        sentences += _caveats(loops)
-        sentences += _better_loop(loops)
+        sentences += _caveats(loops, judged_sequences(summary))
+        sentences += _better_loop(loops, judged_sequences(summary))
     if pose is None:
         sentences += _missing_pose(loops)
     return sentences + _depth_error(loops[-1]) + _stop(summary)
@@ -163,22 +168,22 @@ def _one_loop(loop: dict[str, Any], pose: Change | None, depth: Change | None) -
     return sentences
 
 
-def _caveats(loops: list[dict[str, Any]]) -> list[str]:
+def _caveats(loops: list[dict[str, Any]], judged: list[str] | None) -> list[str]:
     first, last = loops[0], loops[-1]
-    names = compared_sequences(first, last)
+    names = compared_sequences(first, last, judged)
     sentences = []
     if names and frames_text(first, names) != frames_text(last, names):
         sentences.append("The two pose errors rest on different frames, so compare them with care.")
-    left_out = sorted(set((first.get("pose") or {}) | (last.get("pose") or {})) - set(names))
+    left_out = sorted(set(judged or ((first.get("pose") or {}) | (last.get("pose") or {}))) - set(names))
     if names and left_out:
         sentences.append(f"Without an error in both loops, and so not in the mean: {', '.join(left_out)}.")
     return sentences
 
 
-def _better_loop(loops: list[dict[str, Any]]) -> list[str]:
+def _better_loop(loops: list[dict[str, Any]], judged: list[str] | None) -> list[str]:
     """Name the loop with the lowest error where it is neither the first nor the last."""
     sentences = []
-    names = compared_sequences(loops[0], loops[-1])
+    names = compared_sequences(loops[0], loops[-1], judged)
     poses = [(mean_pose(loop, "ate_rmse", names), loop) for loop in loops if names]
     depths = [((loop.get("depth") or {}).get("abs_rel"), loop) for loop in loops]
     for what, unit, found in (("pose error", " m", poses), ("depth error", "", depths)):

@@ -6,6 +6,7 @@ from prgbd.core.errors import DataError
 from prgbd.core.files import read_json, write_json
 from prgbd.report.__main__ import main
 from prgbd.report.ablation import ablation_tables, find_runs, join, means_over_recordings, run_labels
+from prgbd.report.paper import published_refinement
 from prgbd.report.rendering import Column, Table
 from tests.report.fake_run import make_run
 
@@ -65,6 +66,33 @@ def test_rows_that_differ_in_the_recording_alone_are_averaged():
     assert means.rows[1] == ["loss=no_photometric", 2, pytest.approx(0.45), 2.0]
     table.rows = table.rows[:2]
     assert means_over_recordings(table) is None
+
+
+def test_the_paper_s_loops_stand_below_runs_on_its_test_recordings(tmp_path):
+    for seed in range(2):
+        data = {"data": "kitti_odometry", "test_sequences": ["09", "10"]}
+        run = make_run(tmp_path / str(seed), sequences=("00", "09", "10"), depth_errors=None, **data)
+        override(run, f"seed={seed}")
+    table = ablation_tables(tmp_path)[0]
+    rows = [dict(zip([c.title for c in table.columns], row, strict=True)) for row in table.rows]
+    pose = read_json(tmp_path / "0/summary.json")["loops"][1]["pose"]
+    assert rows[0]["ATE last (m)"] == pytest.approx((pose["09"]["ate_rmse"] + pose["10"]["ate_rmse"]) / 2)
+    assert rows[0]["tracked"] == "300/300"
+    assert "mean over test sequences" in table.note
+    paper = rows[2]
+    assert paper["run"] == "Tiwari et al. (paper)"
+    assert paper["ATE first (m)"] == pytest.approx((12.21 + 8.30) / 2)
+    assert paper["ATE last (m)"] == pytest.approx((11.97 + 6.35) / 2)
+    assert "Abs Rel" not in paper  # the runs have no depth to compare with
+    assert table.contenders == 2  # the paper's figures do not compete
+
+
+def test_runs_on_other_data_get_no_row_of_the_paper(multirun):
+    assert not any("et al." in str(row[0]) for row in ablation_tables(multirun)[0].rows)
+    assert published_refinement("kitti_odometry", ["00", "09"]).keys() >= {"abs_rel"}
+    assert "ate_last" not in published_refinement("kitti_odometry", ["00", "09"])
+    assert published_refinement("tum_rgbd", ["rgbd_dataset_freiburg3_walking_xyz"])["ate_last"] == 0.09
+    assert published_refinement("synthetic", ["street-0"]) == {}
 
 
 def test_an_unfinished_run_is_a_row_without_figures(tmp_path):

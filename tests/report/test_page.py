@@ -69,7 +69,7 @@ def test_the_page_has_every_section_in_order(html):
     ]  # fmt: skip
     assert "Over 2 loops the pose error fell from" in page.text
     assert "147/150" in page.text
-    assert page.counts["svg"] == 4 + 3 + 5 + 5  # metrics, sequence, depth by range, loss terms
+    assert page.counts["svg"] == 4 + 3 + 8 + 5  # metrics, sequence, depth by range, loss terms
     assert page.counts["canvas"] == 1
     assert page.counts["img"] >= 3 * 6
     assert "depth_transfer: 1.0" in page.text

@@ -106,3 +106,15 @@ def test_the_depths_error_against_the_map_is_told_where_there_is_one():
     assert told in sentences(a=0.142)
     assert any("14% on a (60%" in sentence for sentence in sentences(a=0.142, b=None))
     assert not any("errs" in sentence for sentence in sentences(a=None))
+
+
+def test_the_pose_error_is_that_of_the_test_recordings_where_there_are_some(summary):
+    for loop in summary["loops"]:
+        learnt = loop["pose"]["street-a"]
+        loop["pose"]["street-b"] = learnt | {"ate_rmse": 2 * learnt["ate_rmse"]}
+    assert "mean of 2 sequences" in pose_change(summary).basis
+    summary["test_sequences"] = ["street-b"]
+    change = pose_change(summary)
+    assert change.after == 2 * summary["loops"][-1]["pose"]["street-a"]["ate_rmse"]
+    assert change.basis.endswith(", test sequence street-b")
+    assert not any("not in the mean" in sentence for sentence in describe(summary))
