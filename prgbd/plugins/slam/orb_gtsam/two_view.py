@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.motion_search import search_motions
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -25,6 +26,14 @@ _MIN_POINTS = 50
 _MIN_PARALLAX = math.radians(1.0)
 # Matches along one line, with less than this standard deviation (pixels) across it, determine no motion.
 _MIN_SPREAD = 2.0
+# Another motion is a rival if its direction differs by more than this, its cost (as in ``motion_search``) exceeds the
+# lowest one by less than this share, and it puts so many points in front of both cameras. In RedKitchen a motion that
+# was 117 degrees wrong had the true one as its rival at 1.11 times its cost; in KITTI others cost 2.7 times as much.
+_OTHER_DIRECTION = math.radians(40.0)
+_RIVAL_COST = 1.25
+_RIVAL_IN_FRONT = 0.7
+# After a rotation alone as many points come to lie behind the cameras as in front, some more if many are far away.
+_LEAST_IN_FRONT = 0.6
 # A point seen under a smaller angle is too far to say anything about its depth.
 _FAR = 0.99998
 
@@ -61,8 +70,8 @@ def initialise_two_view(uv1: FloatArray, uv2: FloatArray, K: FloatArray, seed: i
         seed: Seed of the random sampling.
 
     Returns:
-        The reconstruction, or None where there are too few matches, too little parallax (such as a pure rotation), or
-        no clear winner.
+        The reconstruction, or None where there are too few matches, too little parallax (such as a pure rotation), no
+        clear winner, or another motion that explains the matches about as well.
     """
     first, second = np.ascontiguousarray(uv1, np.float64), np.ascontiguousarray(uv2, np.float64)
     if len(first) < _MIN_POINTS or not (np.isfinite(first).all() and np.isfinite(second).all()):
@@ -79,11 +88,11 @@ def initialise_two_view(uv1: FloatArray, uv2: FloatArray, K: FloatArray, seed: i
     if H is not None and inlier_h is not None and score_h > _SELECT_HOMOGRAPHY * (score_h + score_e):
         _, rotations, translations, _ = cv2.decomposeHomographyMat(H, K)
         motions = [_pose(R, t) for R, t in zip(rotations, translations, strict=True) if np.linalg.norm(t) > 1e-9]
-        return _choose(motions, rays1, rays2, K, inlier_h, "H")
+        return _only(_choose(motions, rays1, rays2, K, inlier_h, "H"), first, second, K)
     if E is not None and inlier_e is not None:
         R1, R2, t = cv2.decomposeEssentialMat(E)
         motions = [_pose(R, s * t) for R in (R1, R2) for s in (1.0, -1.0)]
-        return _choose(motions, rays1, rays2, K, inlier_e, "F")
+        return _only(_choose(motions, rays1, rays2, K, inlier_e, "F"), first, second, K)
     return None
 
 
@@ -171,6 +180,32 @@ def _choose(
     if not (clear and enough and parallax > _MIN_PARALLAX):
         return None
     return TwoView(motions[best], np.where(good[:, None], xyz, 0.0), good, model, parallax)
+
+
+def _only(found: TwoView | None, uv1: FloatArray, uv2: FloatArray, K: FloatArray) -> TwoView | None:
+    """Return the reconstruction with the motion that explains all matches best; None if another explains them as well.
+
+    RANSAC ends near one minimum of the error, not always the lowest, and the lowest is not always the true one. A map
+    that begins with a wrong motion stays wrong, though every frame of it may be tracked.
+    """
+    if found is None:
+        return None
+    rays1, rays2 = _rays(uv1, K), _rays(uv2, K)
+    nearest, *others = search_motions(found.c2Tc1, rays1, rays2, (float(K[0, 0]), float(K[1, 1])))
+    if nearest.in_front < _LEAST_IN_FRONT:
+        return None
+    best = nearest
+    for motion in others:
+        other = motion.direction_from(nearest) > _OTHER_DIRECTION
+        if other and motion.in_front >= _RIVAL_IN_FRONT and motion.cost < _RIVAL_COST * nearest.cost:
+            return None
+        if not other and motion.in_front >= nearest.in_front - 0.05 and motion.cost < best.cost:
+            best = motion
+    if found.model == "H":
+        return found
+    t, R = best.c2Tc1[:3, 3], best.c2Tc1[:3, :3]
+    E = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]]) @ R
+    return _choose([best.c2Tc1], rays1, rays2, K, _score_essential(E, uv1, uv2, K)[1], "F") or found
 
 
 def _reconstruct(
