@@ -5,12 +5,14 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from prgbd.cli import settings
 from prgbd.cli.help import choices
-from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.errors import ConfigError, DataError, PrgbdError
 from prgbd.core.registry import REGISTRY
 
 if TYPE_CHECKING:
@@ -39,6 +41,7 @@ class Parts:
         make_slam: Makes a SLAM system, where the task uses one.
         mode: ``mono``, ``rgbd`` (the sensor's depth), ``stereo`` or ``pseudo_rgbd`` (the network's depth).
         baseline: The baseline that the user fixed, metres, or None.
+        make_baselines: Makes the system of each of ``task.baselines``, by its name.
     """
 
     ids: dict[str, str]
@@ -48,6 +51,7 @@ class Parts:
     make_slam: Callable[[], GeometricSLAM] | None = None
     mode: str = ""
     baseline: float | None = None
+    make_baselines: dict[str, Callable[[], GeometricSLAM]] = field(default_factory=dict)
 
 
 def make_parts(config: Mapping[str, Any]) -> Parts:
@@ -76,6 +80,8 @@ def make_parts(config: Mapping[str, Any]) -> Parts:
     if use_depth:
         seed_everything(int(config["seed"]))
         parts.estimator = _wrapped(config, REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth")))
+    if task == "self_improve":
+        parts.make_baselines = _baselines(config, parts)
     parts.ids = {
         "slam": ids["slam"] if use_slam else "",
         "depth": ids["depth"] if use_depth else "",
@@ -187,6 +193,23 @@ def _slam_factory(config: Mapping[str, Any], plugin_id: str) -> Callable[[], Geo
         return system
 
     return make
+
+
+def _baselines(config: Mapping[str, Any], parts: Parts) -> dict[str, Callable[[], GeometricSLAM]]:
+    """Return what makes the baselines: the run's own SLAM for ``mono``, and the pose network beside depth.weights."""
+    made: dict[str, Callable[[], GeometricSLAM]] = {}
+    for kind in settings.baselines(config):
+        if kind == "mono":
+            assert parts.make_slam is not None
+            made[kind] = parts.make_slam
+            continue
+        options = {"depth": parts.ids["depth"], "weights": config["depth"].get("weights")}
+        made[kind] = partial(REGISTRY.make, "slam", "posenet", **options)
+        try:
+            made[kind]().close()  # weights without a pose network are found now, not after hours of other baselines
+        except PrgbdError as error:
+            raise type(error)(f"task.baselines=[posenet] cannot run: {error}") from error
+    return made
 
 
 def _make_sequences(config: Mapping[str, Any], plugin_id: str) -> tuple[list[Sequence], list[Sequence]]:

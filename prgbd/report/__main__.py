@@ -18,6 +18,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="a run, or a folder of runs")
     parser.add_argument("--compare", action="store_true", help="put the runs side by side on one page")
     parser.add_argument("--out", type=Path, default=Path("comparison"), metavar="DIR", help="folder of the comparison")
+    parser.add_argument(
+        "--figures",
+        nargs="*",
+        metavar="FORMAT",
+        help="write the figures of each run for a paper into its folder figures/: pdf, png, svg (pdf and png)",
+    )
     from rich.console import Console
 
     console, errors = Console(), Console(stderr=True)
@@ -29,6 +35,8 @@ def main(arguments: list[str] | None = None) -> int:
                 compare(options.folders, options.out, console)
             else:
                 report(folder, console)
+                if options.figures is not None:
+                    draw(folder, options.figures, console)
         except PrgbdError as error:
             errors.print(str(error), markup=False, highlight=False, soft_wrap=True)
             code = 2
@@ -58,6 +66,22 @@ def report(folder: Path, console: object) -> None:
         for table in ablation.ablation_tables(folder):
             console.print(tables.to_rich(table))
     for path in written:
+        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+
+
+def draw(folder: Path, formats: list[str], console: object) -> None:
+    """Write the figures of a run as files.
+
+    Raises:
+        ConfigError: If a format is unknown.
+        DataError: If the folder is no run, or the run has nothing to draw.
+    """
+    from rich.console import Console
+
+    from prgbd.report.print_figures import write_figures
+
+    assert isinstance(console, Console)
+    for path in write_figures(folder, formats):
         console.print(str(path), markup=False, highlight=False, soft_wrap=True)
 
 

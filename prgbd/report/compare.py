@@ -10,6 +10,7 @@ import numpy as np
 from prgbd.core.errors import DataError
 from prgbd.core.files import atomic_path
 from prgbd.report import ablation, figures, interactive, sections, tables
+from prgbd.report.aligned import align
 from prgbd.report.figures import Path3D
 from prgbd.report.interactive import Cloud
 from prgbd.report.reading import Run, open_run
@@ -119,7 +120,7 @@ def _sequence(runs: list[Run], labels: list[str], name: str, key: str) -> str:
         if not run.kept_loops or (result := run.result(run.kept_loops[-1], name)) is None:
             continue
         reference = result.trajectory if reference is None else reference
-        found = sections.align(result.trajectory, reference)
+        found = align(result.trajectory, reference)
         if found is None:
             continue
         ate = ((run.kept_loops[-1].get("pose") or {}).get(name) or {}).get("ate_rmse")

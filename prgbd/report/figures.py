@@ -1,13 +1,7 @@
-"""The figures of a report. Each function returns a matplotlib ``Figure``; ``to_svg`` and ``to_png`` turn it into bytes.
-
-Figures are made without pyplot, so nothing global is touched and no display is needed. Ink, grid and secondary text
-have one colour each, which the page replaces by its own so that figures follow light and dark.
-"""
+"""The figures of a report: each function returns a matplotlib ``Figure``, of which ``drawing`` makes files."""
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,54 +10,20 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.report.drawing import INK, MOST_POINTS, MUTED, STYLE, broken, legend_above, loop_colours, new_figure
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, MUTED, GRID = "#010203", "#6e7072", "#d9dadb"
-LOOP_COLOURS = ("#e0783a", "#c2528b", "#7a5fd0", "#2f7fc8", "#12998b")
-BASELINE_COLOURS = ("#7d8794", "#9a8032")
+SHADES = ("#2f7fc8", "#e0783a", "#12998b", "#c2528b", "#7a5fd0", "#9a8032", "#5f6b7a", "#b04a3a")
+HEIGHTS = (1.8, 4.0)  # inches, of the axes of trajectories seen from above
 STATE_COLOURS = {
     "ok": "#3aa675",
     "interpolated": "#e0a73c",
     "lost": "#d1495b",
     "not_initialized": "#aab0bb",
     "collected": "#7aa6d8",
-}
-WIDTH = 5.2  # inches; small enough that labels stay readable on a phone
-MOST_POINTS = 1500  # per line; more cannot be seen and only makes the file large
-
-STYLE: Any = {
-    "font.family": "sans-serif",
-    "font.size": 10.5,
-    "axes.titlesize": 11,
-    "axes.titlelocation": "left",
-    "axes.edgecolor": GRID,
-    "axes.labelcolor": MUTED,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.titlecolor": INK,
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.major.size": 0,
-    "ytick.major.size": 0,
-    "xtick.minor.size": 0,
-    "ytick.minor.size": 0,
-    "text.color": INK,
-    "lines.linewidth": 1.7,
-    "lines.solid_capstyle": "round",
-    "legend.frameon": False,
-    "legend.fontsize": 9.5,
-    "legend.labelcolor": INK,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "prgbd",
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
 }
 
 
@@ -107,80 +67,6 @@ class Timeline:
     found: Sequence[int] = ()
 
 
-def loop_colours(count: int) -> list[str]:
-    """Return one colour per loop, from the first (warm) to the last (cool)."""
-    if count <= 1:
-        return [LOOP_COLOURS[3]] * count
-    if count == 2:
-        return [LOOP_COLOURS[0], LOOP_COLOURS[3]]
-    from matplotlib.colors import LinearSegmentedColormap, to_hex
-
-    ramp = LinearSegmentedColormap.from_list("loops", LOOP_COLOURS)
-    return [to_hex(ramp(i / (count - 1))) for i in range(count)]
-
-
-def new_figure(
-    height: float, rows: int = 1, columns: int = 1, width: float = WIDTH, **options: Any
-) -> tuple[Figure, Any]:
-    """Return an empty figure, sizes in inches, and its axes."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, **options)
-
-
-def to_svg(figure: Figure) -> bytes:
-    """Render as SVG; the same figure gives the same bytes."""
-    buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
-def to_png(figure: Figure, dpi: int = 160) -> bytes:
-    """Render as PNG on white."""
-    buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
-    return buffer.getvalue()
-
-
-def inline_svg(svg: bytes, label: str, prefix: str) -> str:
-    """Return an SVG as an element for HTML that follows the page's theme.
-
-    Args:
-        svg: What ``to_svg`` returned.
-        label: Description for screen readers.
-        prefix: Unique on the page, so that references of several figures do not meet.
-    """
-    from html import escape
-
-    text = svg.decode("utf-8")
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
-    text = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", text)
-    text = re.sub(r'(href="#|url\(#)([^")]+)', rf"\g<1>{prefix}\2", text)
-    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font: \1px var(--sans)", text)
-    for colour, name in ((INK, "ink"), (MUTED, "muted"), (GRID, "grid")):
-        text = text.replace(colour, f"var(--{name})")
-    text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
-    return text.replace("<svg", f'<svg role="img" aria-label="{escape(label, quote=True)}"', 1)
-
-
-def broken(frames: NDArray[np.int64], *columns: NDArray[Any]) -> list[NDArray[np.float64]]:
-    """Thin out columns to ``MOST_POINTS`` and put NaN where frames are missing, so that no line bridges a gap."""
-    frames = np.asarray(frames)
-    gaps = np.flatnonzero(np.diff(frames) > 1) + 1
-    keep = np.zeros(len(frames), bool)
-    keep[:: max(1, len(frames) // MOST_POINTS)] = True
-    ends = np.concatenate([gaps, gaps - 1, [len(frames) - 1]]).astype(int) if len(frames) else np.zeros(0, int)
-    keep[ends] = True
-    # Where to insert, counted in the rows that are kept.
-    breaks = np.searchsorted(np.flatnonzero(keep), gaps)
-    return [np.insert(np.asarray(c, np.float64)[keep], breaks, np.nan, axis=0) for c in columns]
-
-
 def horizontal_axes(wTc: NDArray[np.float64]) -> tuple[int, int]:
     """Return the world axes (right, up) of a view from above that is not mirrored.
 
@@ -204,10 +90,12 @@ def trajectory_figure(
         points: (P, 3) map points to draw faintly below, or None.
         unit: Unit of the axes.
     """
-    figure, ax = new_figure(5.0)
     positions = np.concatenate([p.xyz for p in paths if len(p.xyz)] or [np.zeros((1, 3))])[:, list(axes)]
     low, high = positions.min(axis=0), positions.max(axis=0)
     margin = 0.08 * max(float((high - low).max()), 1e-6)
+    middle, size = (low + high) / 2, high - low + 2 * margin
+    inches = np.array([4.5, float(np.clip(4.5 * size[1] / size[0], *HEIGHTS))])  # about the size of the axes
+    figure, ax = new_figure(inches[1] + 1.0)
     if points is not None and len(points):
         flat = points[:, list(axes)]
         # The view stays near the path: a few far points would shrink it to a speck.
@@ -223,21 +111,13 @@ def trajectory_figure(
         )  # fmt: skip
     if paths and len(paths[0].xyz):
         ax.plot(*paths[0].xyz[0, list(axes)], "o", mfc="none", mec=INK, ms=7, mew=1.3, label="start")
-    middle, size = (low + high) / 2, high - low + 2 * margin
-    inches = np.array([4.5, 4.0])  # about the size of the axes
     half = 0.5 * (size / inches).max() * inches
     ax.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
     ax.set_aspect("equal")
     ax.set_xlabel(f"{'xyz'[axes[0]]} ({unit})")
     ax.set_ylabel(f"{'xyz'[axes[1]]} ({unit})")
-    _legend_above(figure, ax)
+    legend_above(figure, ax)
     return figure
-
-
-def _legend_above(figure: Figure, ax: Axes, columns: int = 2) -> None:
-    handles, labels = ax.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=1.8)
 
 
 @matplotlib.rc_context(STYLE)
@@ -250,7 +130,7 @@ def error_figure(series: Sequence[tuple[str, str, NDArray[np.int64], NDArray[np.
     ax.set_ylim(bottom=0)
     ax.set_xlabel("frame")
     ax.set_ylabel(f"position error ({unit})")
-    _legend_above(figure, ax)
+    legend_above(figure, ax)
     return figure
 
 
@@ -331,15 +211,16 @@ def _draw_loss(ax: Axes, steps: NDArray[Any], values: NDArray[np.float64], colou
 
 
 @matplotlib.rc_context(STYLE)
-def metric_figure(title: str, series: dict[str, list[float | None]]) -> Figure:
+def metric_figure(title: str, series: dict[str, list[float | None]], ordered: bool = False) -> Figure:
     """Draw one figure over the loops.
 
     Args:
         title: What it is, with its unit.
         series: One value or None per loop, by name; several names get a legend.
+        ordered: The names are steps of one quantity, and their colours are steps of one ramp.
     """
-    figure, ax = new_figure(2.1, width=2.9)
-    shades = ("#2f7fc8", "#e0783a", "#12998b", "#c2528b", "#7a5fd0", "#9a8032", "#5f6b7a", "#b04a3a")
+    figure, ax = new_figure(2.1, width=2.9 if len(series) < 3 else 3.6)
+    shades: Sequence[str] = SHADES if not ordered else loop_colours(len(series))
     count, top = 1, 0.0
     for i, (label, values) in enumerate(series.items()):
         y = np.array([np.nan if v is None else v for v in values])
@@ -351,6 +232,8 @@ def metric_figure(title: str, series: dict[str, list[float | None]]) -> Figure:
     ax.set_ylim(0, 1.12 * top or 1.0)
     ax.locator_params(axis="y", nbins=5)
     ax.set_xlabel("loop")
-    if len(series) > 1:
+    if len(series) > 2:  # so many names would cover the lines
+        ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    elif len(series) > 1:
         ax.legend(fontsize=8)
     return figure

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.report.figures import INK, Path3D, broken
+from prgbd.report.drawing import INK, broken
+from prgbd.report.figures import Path3D
 
 MOST_POINTS = 6000  # per cloud; 9 bytes each, and as many as a phone draws while it is turned
 SCRIPTS = ("view.js", "slider.js")

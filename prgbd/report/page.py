@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from prgbd.core.files import atomic_path
-from prgbd.report import interactive, sections
+from prgbd.report import depth_sections, interactive, sections
 from prgbd.report.reading import Run, open_run, sum_pose
 from prgbd.report.style import CSS
 from prgbd.report.words import Change, depth_change, describe, number, percent, pose_change
@@ -47,13 +47,13 @@ def render(run: Run) -> str:
     """Return the page of a run as HTML below ``LARGEST`` bytes."""
     before = sections.loops_section(run) + sections.pose_section(run)
     after = (
-        sections.depth_ranges_section(run)
+        depth_sections.depth_ranges_section(run)
         + sections.training_section(run)
         + sections.figures_section(run)
         + sections.setup_section(run)
     )
     for width, most in DETAIL:
-        body = before + sections.depth_section(run, width, most) + after
+        body = before + depth_sections.depth_section(run, width, most) + after
         if len(body.encode()) < LARGEST - 100_000:
             break
     title = TITLES.get(str(run.summary.get("task")), "Run")

@@ -1,17 +1,79 @@
-"""Figures of depth errors by cap and by distance."""
+"""Figures of depth errors by cap, by distance, and by loop with one line per cap."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 
-from prgbd.report.figures import STYLE, new_figure
+from prgbd.report.drawing import STYLE, loop_colours, new_figure
+from prgbd.report.figures import metric_figure
+from prgbd.report.reading import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+TITLES = {"abs_rel": "Abs Rel", "sq_rel": "Sq Rel (m)", "rmse": "RMSE (m)", "a1": "δ<1.25"}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A figure of depth errors.
+
+    Attributes:
+        name: For a file, such as ``abs_rel-by-cap``.
+        label: In words.
+        figure: The figure.
+    """
+
+    name: str
+    label: str
+    figure: Figure
+
+
+def range_curves(run: Run) -> list[Curve]:
+    """Return the curves that a run has figures for: by cap and distance for its first and last network, and by loop."""
+    known = [(run.label(loop), loop["depth"]) for loop in run.loops if (loop.get("depth") or {}).get("images")]
+    chosen = known if len(known) < 2 else [known[0], known[-1]]
+    found = [(label, colour, depth) for (label, depth), colour in zip(chosen, loop_colours(len(chosen)), strict=True)]
+    return [*_by_cap(found), *_by_distance(found), *_by_loop(run)]
+
+
+def _by_cap(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
+    found = [entry for entry in found if entry[2].get("by_cap")]
+    for metric in ("abs_rel", "rmse", "a1") if found else ():
+        curves = [
+            (label, colour, [row["cap"] for row in depth["by_cap"]], [row.get(metric) for row in depth["by_cap"]])
+            for label, colour, depth in found
+        ]
+        title = TITLES[metric]
+        yield Curve(f"{metric}-by-cap", f"{title} by depth cap", cap_figure(f"{title} by cap", curves))
+
+
+def _by_distance(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
+    bins = [(label, colour, depth["by_depth"]) for label, colour, depth in found if depth.get("by_depth")]
+    for metric in ("abs_rel", "rmse") if bins else ():
+        title = TITLES[metric]
+        figure = bin_figure(f"{title} by distance", bins, metric)
+        yield Curve(f"{metric}-by-distance", f"{title} by true depth", figure)
+
+
+def _by_loop(run: Run) -> Iterator[Curve]:
+    """Yield the paper's curves: metrics over the loops, one line per cap."""
+    found = [(loop.get("depth") or {}).get("by_cap") or [] for loop in run.loops]
+    caps = list(dict.fromkeys(row["cap"] for rows in found for row in rows))
+    for metric in ("abs_rel", "sq_rel", "rmse") if len(found) > 1 and caps else ():
+        curves = {
+            f"{cap:g} m": [next((row.get(metric) for row in rows if row["cap"] == cap), None) for rows in found]
+            for cap in caps
+        }
+        title = TITLES[metric]
+        label = f"{title} by loop, a line per depth cap"
+        yield Curve(f"{metric}-by-loop", label, metric_figure(f"{title} by loop and cap", curves, ordered=True))
 
 
 @matplotlib.rc_context(STYLE)

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-import json
 from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.core.alignment import Alignment, fit_alignment
-from prgbd.core.export import match_times
-from prgbd.core.types import SlamResult, Trajectory
-from prgbd.report import figures, interactive, pictures, range_figures, tables
+from prgbd.core.types import SlamResult
+from prgbd.report import figures, interactive, tables
+from prgbd.report.aligned import aligned_sequence, entry_colours
+from prgbd.report.drawing import figure_html, inline_svg, to_svg
 from prgbd.report.figures import Path3D, Timeline
 from prgbd.report.interactive import Cloud
 from prgbd.report.reading import Run, mean_pose
-from prgbd.report.words import number
 
 MOST_SEQUENCES = 12
-FEWEST_POSES = 3
-
-
-def figure_html(figure: Any, label: str, caption: str, key: str) -> str:
-    """Return a figure element; ``key`` must be unique on the page, ``caption`` is HTML."""
-    svg = figures.inline_svg(figures.to_svg(figure), label, key)
-    return f"<figure>{svg}{f'<figcaption>{caption}</figcaption>' if caption else ''}</figure>"
 
 
 def loops_section(run: Run) -> str:
@@ -75,53 +65,22 @@ def pose_section(run: Run) -> str:
 
 
 def _sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResult]], key: str) -> str:
-    colours = _colours(run)
-    truth = run.truth(name)
-    reference = truth if truth is not None and len(truth) >= FEWEST_POSES else results[0][1].trajectory
-    paths = [Path3D("truth", np.arange(len(truth)), truth.positions)] if truth is not None and len(truth) else []
-    series, points, left_out = [], None, []
-    clouds: list[Cloud] = []
-    for loop, result in results:
-        aligned = align(result.trajectory, reference)
-        label, colour = run.label(loop), colours[id(loop)]
-        if aligned is None:
-            left_out.append(label)
-            continue
-        transform, rows, errors = aligned
-        ate = ((loop.get("pose") or {}).get(name) or {}).get("ate_rmse")
-        suffix = f", {number(ate)} m" if ate is not None else ""
-        paths.append(
-            Path3D(label + suffix, result.trajectory.frame_index, transform.points(result.trajectory.positions), colour)
-        )
-        if len(result.points):
-            points = transform.points(result.points.xyz)
-            clouds.append(Cloud(label + suffix, points, result.points.rgb))
-        if reference is truth:
-            series.append((label, colour, result.trajectory.frame_index[rows], errors))
-    left, right = "", ""
-    if paths:
-        axes, unit = figures.horizontal_axes(reference.wTc), "m" if reference is truth else "map units"
-        left = trajectories_html(
-            name, paths, clouds[-2:], points, axes, unit, _path_caption(truth is not None, left_out), key
-        )
-    lines = [_timeline(run.label(loop), r, colours[id(loop)]) for loop, r in results]
+    drawn, colours = aligned_sequence(run, name, results), entry_colours(run)
+    lines = [_timeline(run.label(loop), result, colours[id(loop)]) for loop, result in results]
     caption = (
         "State of every frame; white ticks are keyframes, ▲ loop closures, ● frames found again after tracking was "
         "lost. Below, the matches that agree with each frame's pose."
     )
     right = figure_html(figures.timeline_figure(lines), f"tracking of {name}", caption, key + "k")
-    if series:
+    if drawn.errors:
         caption = "Distance from the true position after Sim3 alignment, by frame; a gap is where there is no pose."
-        right += figure_html(figures.error_figure(series), f"position errors of {name}", caption, key + "e")
-    return (
-        f'<div class="grid"><div>{left}</div><div>{right}</div></div>' if left else f'<div class="grid">{right}</div>'
-    )
-
-
-def _colours(run: Run) -> dict[int, str]:
-    baselines = run.entries[: len(run.entries) - len(run.loops)]
-    found = dict(zip(map(id, baselines), figures.BASELINE_COLOURS, strict=False))
-    return found | dict(zip(map(id, run.loops), figures.loop_colours(len(run.loops)), strict=True))
+        right += figure_html(figures.error_figure(drawn.errors), f"position errors of {name}", caption, key + "e")
+    if not drawn.paths:
+        return f'<div class="grid">{right}</div>'
+    points = drawn.clouds[-1].xyz if drawn.clouds else None
+    caption = _path_caption(drawn.has_truth, drawn.left_out)
+    left = trajectories_html(name, drawn.paths, drawn.clouds[-2:], points, drawn.axes, drawn.unit, caption, key)
+    return f'<div class="grid"><div>{left}</div><div>{right}</div></div>'
 
 
 def trajectories_html(
@@ -147,7 +106,7 @@ def trajectories_html(
         key: Prefix of ids, unique on the page.
     """
     drawing = figures.trajectory_figure(paths, axes, points, unit)
-    svg = figures.inline_svg(figures.to_svg(drawing), f"trajectories of {name} from above", key + "t")
+    svg = inline_svg(to_svg(drawing), f"trajectories of {name} from above", key + "t")
     view = interactive.view_html(paths, clouds, axes, unit, f"interactive trajectories and map of {name}")
     return f'<figure>{view}<div class="static">{svg}</div><figcaption>{caption}</figcaption></figure>'
 
@@ -168,142 +127,6 @@ def _path_caption(with_truth: bool, left_out: list[str]) -> str:
     return f"{text} Dots: the last loop's map." + (
         f" Too few poses to draw: {escape(', '.join(left_out))}." if left_out else ""
     )
-
-
-def align(
-    estimate: Trajectory, reference: Trajectory
-) -> tuple[Alignment, NDArray[np.int64], NDArray[np.float64]] | None:
-    """Return the Sim3 alignment to the reference, the rows it rests on and their distances; None if too few."""
-    rows, others = match_times(estimate.timestamp, reference.timestamp, 0.02)
-    if len(rows) < FEWEST_POSES:
-        return None
-    x, y = estimate.positions[rows], reference.positions[others]
-    transform = fit_alignment(x, y, "sim3")
-    return transform, rows, np.linalg.norm(transform.points(x) - y, axis=1)
-
-
-def depth_section(run: Run, width: int, most: int) -> str:
-    """Return depth maps before and after beside image and truth, as pictures no wider than ``width`` pixels."""
-    found = [(run.label(loop), run.samples(loop)) for loop in run.kept_loops]
-    known = [(label, samples) for label, samples in found if samples is not None and len(samples.keys)]
-    chosen = known if len(known) < 2 else [known[0], known[-1]]
-    rows = pictures.depth_rows(chosen, most)
-    if not rows:
-        return ""
-    html = "<h2>Depth</h2>"
-    scaled = (
-        "to the truth" if any(row.truth is not None for row in rows) else "to the first prediction (there is no truth)"
-    )
-    lede = f"Predictions are median-scaled {scaled}; each frame has one colour scale for all its depth maps."
-    html += f'<p class="lede">{lede}</p>'
-    return html + "".join(_frame(row, width) for row in rows)
-
-
-# What can be compared by a slider: name, picture on the left, picture on the right.
-PAIRS = (
-    ("Depth before | after", "depth0", "depth1"),
-    ("Error before | after", "error0", "error1"),
-    ("Image | depth", "image", "depth1"),
-    ("Image | depth", "image", "depth0"),
-    ("Truth | depth", "truth", "depth1"),
-)
-
-
-def depth_ranges_section(run: Run) -> str:
-    """Return the depth errors by cap and by the distance of the truth, for the first and the last network."""
-    known = [(run.label(loop), loop["depth"]) for loop in run.loops if (loop.get("depth") or {}).get("images")]
-    chosen = known if len(known) < 2 else [known[0], known[-1]]
-    colours = figures.loop_colours(len(chosen))
-    drawn = []
-    for i, (metric, title) in enumerate((("abs_rel", "Abs Rel"), ("rmse", "RMSE (m)"), ("a1", "δ<1.25"))):
-        curves = [
-            (label, colour, [row["cap"] for row in depth["by_cap"]], [row.get(metric) for row in depth["by_cap"]])
-            for (label, depth), colour in zip(chosen, colours, strict=True)
-            if depth.get("by_cap")
-        ]
-        if curves:
-            figure = range_figures.cap_figure(f"{title} by cap", curves)
-            drawn.append(figure_html(figure, f"{title} by depth cap", "", f"c{i}-"))
-    for i, (metric, title) in enumerate((("abs_rel", "Abs Rel"), ("rmse", "RMSE (m)"))):
-        bins = [
-            (label, colour, depth["by_depth"])
-            for (label, depth), colour in zip(chosen, colours, strict=True)
-            if depth.get("by_depth")
-        ]
-        if bins:
-            figure = range_figures.bin_figure(f"{title} by distance", bins, metric)
-            drawn.append(figure_html(figure, f"{title} by true depth", "", f"b{i}-"))
-    drawn += _by_loop_and_cap(run)
-    if not drawn:
-        return ""
-    lede = (
-        "By cap: the whole protocol with the truth cut off at that depth, means over images. By distance: all pixels "
-        "whose true depth lies in that range, after the scaling of the headline cap. By loop: the first of these, with "
-        "one line per cap."
-    )
-    return f'<h3>Depth by range</h3><p class="lede">{lede}</p><div class="grid medium">{"".join(drawn)}</div>'
-
-
-def _by_loop_and_cap(run: Run) -> list[str]:
-    """Return the curves of the paper's second figure: metrics over the loops, one line per cap."""
-    found = [(loop.get("depth") or {}).get("by_cap") or [] for loop in run.loops]
-    caps = list(dict.fromkeys(row["cap"] for rows in found for row in rows))
-    drawn = []
-    for i, (metric, title) in enumerate((("abs_rel", "Abs Rel"), ("sq_rel", "Sq Rel (m)"), ("rmse", "RMSE (m)"))):
-        curves = {
-            f"{cap:g} m": [next((row.get(metric) for row in rows if row["cap"] == cap), None) for rows in found]
-            for cap in caps
-        }
-        if len(found) > 1 and caps:
-            figure = figures.metric_figure(f"{title} by loop and cap", curves)
-            drawn.append(figure_html(figure, f"{title} by loop, a line per depth cap", "", f"lc{i}-"))
-    return drawn
-
-
-def _frame(row: pictures.DepthRow, width: int) -> str:
-    """Return one frame's pictures: image, truth and predictions in a line, the errors below their predictions."""
-    tiles = [_tile(row.image, "image", f"{row.sequence} frame {row.frame}".strip(), width, role="image")]
-    if row.truth is not None:
-        tiles.append(_tile(row.truth, "truth", "", width, role="truth"))
-    start = len(tiles) + 1
-    tiles += [
-        _tile(p.picture, p.label, _abs_rel(p.abs_rel), width, role=f"depth{i}") for i, p in enumerate(row.predictions)
-    ]
-    across = len(tiles)
-    errors = [(p.label, p.error_picture) for p in row.predictions if p.error_picture is not None]
-    tiles += [
-        _tile(e, f"error, {n}", "", width, "" if i else "newline", f"error{i}") for i, (n, e) in enumerate(errors)
-    ]
-    style = f"--across:{across};--start:{start}"
-    single = len(row.predictions) == 1
-    pairs = [pair for pair in PAIRS if (pair[2] == "depth0") == single]
-    given = escape(json.dumps(pairs), quote=True)
-    inside = f'<div class="tiles" style="{style}">{"".join(tiles)}</div>{_bars(row)}'
-    return f'<figure class="frame" data-pairs="{given}">{inside}</figure>'
-
-
-def _abs_rel(value: float | None) -> str:
-    return "" if value is None else f"Abs Rel {number(value)}"
-
-
-def _tile(picture: NDArray[np.uint8], name: str, detail: str, width: int, kind: str = "", role: str = "") -> str:
-    data = base64.b64encode(pictures.to_jpeg(picture, width)).decode()
-    text = f"<b>{escape(name)}</b>" + (f" {escape(detail)}" if detail else "")
-    image = f'<img data-role="{role}" alt="{escape(name, quote=True)}" src="data:image/jpeg;base64,{data}">'
-    return f'<div class="{kind}">{image}<p>{text}</p></div>'
-
-
-def _bars(row: pictures.DepthRow) -> str:
-    unit = " m" if row.truth is not None else ""
-
-    def bar(name: str) -> str:
-        return f'<i class="bar" style="background:{pictures.gradient(name)}"></i>'
-
-    html = f"<span>depth {number(row.near)}{unit}{bar(pictures.DEPTH_MAP)}{number(row.far)}{unit}</span>"
-    if row.truth is not None:
-        html += f"<span>relative error 0{bar(pictures.ERROR_MAP)}{pictures.ERROR_LIMIT:.0%} and more</span>"
-        html += "<span>grey: truth unknown</span>"
-    return f'<div class="bars">{html}</div>'
 
 
 def training_section(run: Run) -> str:

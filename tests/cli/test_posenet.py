@@ -29,3 +29,15 @@ def test_the_baseline_runs_and_is_reported(cli, tmp_path):
 def test_missing_weights_are_named(cli):
     answer = cli("slam=posenet", "data=synthetic", "data.frames=4", "task=slam", "out=run")
     assert "slam.weights" in answer.sentence
+
+
+def test_a_baseline_without_a_pose_network_is_named_before_anything_runs(cli):
+    answer = cli("slam=orb_gtsam", "depth=monodepth2", "data=synthetic", "task.baselines=[mono,posenet]", "out=run")
+    assert "task.baselines=[posenet]" in answer.sentence
+    assert "hold no pose network" in answer.sentence
+    assert not Path("run").exists()
+    answer = cli(
+        *("slam=orb_gtsam", "depth=monodepth2", "depth.weights=null", "data=synthetic"),
+        *("task.baselines=[posenet]", "out=run"),
+    )
+    assert "task.baselines=[posenet]" in answer.sentence

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prgbd.report import figures
+from prgbd.report import drawing, figures
 from prgbd.report.figures import Path3D, Timeline
 from prgbd.report.pictures import UNKNOWN, depth_picture, depth_rows, error_picture, relative_error, thicken, to_jpeg
 from prgbd.report.reading import DepthSamples
@@ -13,12 +13,12 @@ from tests.report.fake_run import true_poses
 
 def test_lines_break_where_frames_are_missing_and_keep_their_ends():
     frames = np.array([0, 1, 2, 10, 11, 20])
-    x, y = figures.broken(frames, frames, frames * 2.0)
+    x, y = drawing.broken(frames, frames, frames * 2.0)
     np.testing.assert_array_equal(x, [0, 1, 2, np.nan, 10, 11, np.nan, 20])
     np.testing.assert_array_equal(y, x * 2)
-    assert len(figures.broken(np.zeros(0, int), np.zeros((0, 3)))[0]) == 0
+    assert len(drawing.broken(np.zeros(0, int), np.zeros((0, 3)))[0]) == 0
     many = np.concatenate([np.arange(5000), np.arange(6000, 9000)])
-    (thin,) = figures.broken(many, many)
+    (thin,) = drawing.broken(many, many)
     assert len(thin) < 2100
     assert {0.0, 4999.0, 6000.0, 8999.0} <= set(thin[~np.isnan(thin)])
     gap = np.flatnonzero(np.isnan(thin))
@@ -57,22 +57,22 @@ def test_every_figure_renders_and_twice_the_same():
         lambda: figures.metric_figure("m", {"a": [1.0, None, 0.5], "b": [None, None, None]}),
     ]  # fmt: skip
     for make in made:
-        svg = figures.to_svg(make())
-        assert svg == figures.to_svg(make())
+        svg = drawing.to_svg(make())
+        assert svg == drawing.to_svg(make())
         ET.fromstring(svg)
-    assert figures.to_png(made[0]())[:4] == b"\x89PNG"
+    assert drawing.to_png(made[0]())[:4] == b"\x89PNG"
     assert figures.loss_terms([("a", losses)]) == ["total"]
 
 
 def test_inline_svg_follows_the_theme_and_keeps_its_references_apart():
     make = lambda: figures.metric_figure("m<", {"a": [1.0, 2.0]})  # noqa: E731
-    text = figures.inline_svg(figures.to_svg(make()), 'a "label"', "k-")
+    text = drawing.inline_svg(drawing.to_svg(make()), 'a "label"', "k-")
     root = ET.fromstring(text)
     assert root.attrib["aria-label"] == 'a "label"'
     assert "width" not in root.attrib
     assert "viewBox" in root.attrib
     assert "var(--ink)" in text
-    assert figures.INK not in text
+    assert drawing.INK not in text
     assert "var(--grid)" in text
     ids = {e.attrib["id"] for e in root.iter() if "id" in e.attrib}
     assert all(i.startswith("k-") for i in ids)
@@ -85,7 +85,7 @@ def test_inline_svg_follows_the_theme_and_keeps_its_references_apart():
 
 def test_loop_colours_differ():
     for count in (1, 2, 5, 8):
-        assert len(set(figures.loop_colours(count))) == count
+        assert len(set(drawing.loop_colours(count))) == count
 
 
 def samples(depth, truth=None, keys=(("s", 0), ("s", 7))):

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
 from prgbd.cli.loggers import logger_maker
 from prgbd.cli.tasks.reporting import report
-from prgbd.core.registry import REGISTRY
-from prgbd.core.slam import GeometricSLAM
 from prgbd.loop.baselines import run_baseline
 from prgbd.loop.refining import Refiner
 from prgbd.loop.self_improving import SelfImprovingLoop
@@ -43,22 +40,8 @@ def _baselines(job: Job) -> list[dict[str, Any]]:
     """Run what ``task.baselines`` names on the test recordings, or on all if there are none."""
     parts, config = job.parts, job.config
     sequences = parts.test_sequences or parts.sequences
-    made = []
-    for kind in settings.baselines(config):
-        options = settings.loop_settings(config, None)
-        made.append(run_baseline(kind, _maker(job, kind), sequences, options, job.store, job.display))
-    return made
-
-
-def _maker(job: Job, kind: str) -> Callable[[], GeometricSLAM]:
-    """Return what makes the system of a baseline: the run's own SLAM for ``mono``, else the pose network."""
-    assert job.parts.make_slam is not None
-    if kind == "mono":
-        return job.parts.make_slam
-    options = {"depth": job.parts.ids["depth"], "weights": job.config["depth"].get("weights")}
-
-    def make() -> GeometricSLAM:
-        system: GeometricSLAM = REGISTRY.make("slam", "posenet", **options)
-        return system
-
-    return make
+    options = settings.loop_settings(config, None)
+    return [
+        run_baseline(kind, make, sequences, options, job.store, job.display)
+        for kind, make in parts.make_baselines.items()
+    ]
