@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import difflib
 import inspect
 from collections.abc import Mapping
 from dataclasses import fields
@@ -11,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prgbd.cli.loggers import logger_maker
+from prgbd.cli.option_values import number, typed_options, whole
 from prgbd.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -89,25 +88,6 @@ def _check_trainer(options: Mapping[str, Any]) -> None:
         raise ConfigError(f"Lightning does not take the options trainer.*: {reason.rstrip('.')}.") from error
 
 
-def number(config: Mapping[str, Any], key: str, *, optional: bool = False) -> Any:
-    """Return a numeric option by its dotted name.
-
-    Raises:
-        ConfigError: If it is not a number.
-    """
-    node: Any = config
-    for part in key.split("."):
-        node = node.get(part) if isinstance(node, Mapping) else None
-    if node is None and optional:
-        return None
-    if isinstance(node, str):
-        with contextlib.suppress(ValueError):
-            node = float(node)  # YAML 1.1 reads 1e-6 as text
-    if isinstance(node, bool) or not isinstance(node, int | float):
-        raise ConfigError(f"{key} is {node!r}; it must be a number.")
-    return node
-
-
 def refinement_settings(config: Mapping[str, Any]) -> RefinementSettings:
     """Make the settings of the refinement from ``loss``, ``training`` and ``seed``.
 
@@ -164,41 +144,6 @@ def _flag(config: Mapping[str, Any], name: str) -> bool:
     return value
 
 
-def typed_options(cls: type[Any], given: Mapping[str, Any], group: str) -> dict[str, Any]:
-    """Return options with the types that the fields of a settings dataclass have by default.
-
-    Args:
-        cls: The dataclass.
-        given: Options by name.
-        group: Their group, for messages.
-
-    Raises:
-        ConfigError: If an option is unknown or has another type.
-    """
-    defaults = {field.name: field.default for field in fields(cls)}
-    values: dict[str, Any] = {}
-    for name, value in given.items():
-        key = f"{group}.{name}"
-        if name not in defaults:
-            near = difflib.get_close_matches(str(name), list(defaults), n=1)
-            hint = f"did you mean '{group}.{near[0]}'?" if near else f"there are {', '.join(defaults)}."
-            raise ConfigError(f"There is no option '{key}'; {hint}")
-        default = defaults[name]
-        if isinstance(default, bool) and not isinstance(value, bool):
-            raise ConfigError(f"{key} is {value!r}; it must be true or false.")
-        if isinstance(default, int | float) and not isinstance(default, bool):
-            value = number({group: given}, key)
-            value = _whole(value, key) if isinstance(default, int) else float(value)
-        values[str(name)] = value
-    return values
-
-
-def _whole(value: float, key: str) -> int:
-    if value != int(value):
-        raise ConfigError(f"{key} is {value}; it must be a whole number.")
-    return int(value)
-
-
 def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSettings:
     """Make the settings of the loop; ``baseline`` is the virtual baseline that the user fixed, or None.
 
@@ -209,12 +154,12 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
 
     cache = config["sensing"].get("cache")
     return LoopSettings(
-        max_loops=_whole(number({"task": {"max_loops": 0} | config["task"]}, "task.max_loops"), "task.max_loops"),
+        max_loops=whole(number({"task": {"max_loops": 0} | config["task"]}, "task.max_loops"), "task.max_loops"),
         min_improvement=number(
             {"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement", optional=True
         ),
         criterion=str(config["task"].get("criterion", "held_out")),
-        patience=_whole(number({"task": {"patience": 0} | config["task"]}, "task.patience"), "task.patience"),
+        patience=whole(number({"task": {"patience": 0} | config["task"]}, "task.patience"), "task.patience"),
         baseline=baseline,
         running_baseline=(config.get("slam") or {}).get("baseline") == "running",
         baseline_percentile=float(number(config, "sensing.baseline_percentile")),
@@ -308,7 +253,7 @@ def depth_protocol(config: Mapping[str, Any]) -> DepthProtocol:
     if not isinstance(median_scaling, bool):
         raise ConfigError(f"evaluation.median_scaling is {median_scaling!r}; it must be true or false.")
     return DepthProtocol(
-        images=None if images is None else _whole(images, "evaluation.depth_images"),
+        images=None if images is None else whole(images, "evaluation.depth_images"),
         cap=float(number(config, "evaluation.depth_cap")),
         crop=str(config["evaluation"]["depth_crop"]),
         median_scaling=median_scaling,
@@ -333,7 +278,7 @@ def batch_size(config: Mapping[str, Any]) -> int | None:
     """Return the sensor's batch size, None for auto."""
     if config["sensing"].get("batch_size") in (None, "auto"):
         return None
-    size = _whole(number(config, "sensing.batch_size"), "sensing.batch_size")
+    size = whole(number(config, "sensing.batch_size"), "sensing.batch_size")
     if size < 1:
         raise ConfigError(f"sensing.batch_size is {size}; it must be at least 1.")
     return size

@@ -274,7 +274,7 @@ class SlamResult:
         Raises:
             DataError: If no frame has a pose.
         """
-        from prgbd.core.export import to_evo
+        from prgbd.core.trajectory_files import to_evo
 
         return to_evo(self.trajectory)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.alignment import Alignment, fit_alignment
-from prgbd.core.export import match_times
+from prgbd.core.trajectory_files import match_times
 from prgbd.core.types import SlamResult, Trajectory
 from prgbd.report.drawing import BASELINE_COLOURS, loop_colours
 from prgbd.report.figures import Path3D, horizontal_axes

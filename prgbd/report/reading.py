@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import DataError
-from prgbd.core.export import load_slam_result, read_tum
+from prgbd.core.export import load_slam_result
 from prgbd.core.files import read_json
+from prgbd.core.trajectory_files import read_tum
 from prgbd.core.types import SlamResult, Trajectory
 
 T = TypeVar("T")

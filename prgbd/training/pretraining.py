@@ -13,7 +13,7 @@ from typing import Any
 
 import lightning
 import torch
-from lightning.pytorch.callbacks import Callback, RichProgressBar
+from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.utilities.seed import isolate_rng
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from rich.progress import track
@@ -24,7 +24,6 @@ from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
 from prgbd.training.augmentation import jittered
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
-from prgbd.training.compilation import Compilation
 from prgbd.training.images import image_folder
 from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
@@ -32,6 +31,7 @@ from prgbd.training.pretraining_data import DecodedSequence, PretrainingData, Tr
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.sampling import step_seed
+from prgbd.training.trainers import make_trainer
 from prgbd.training.warping import invert_rigid
 
 
@@ -258,27 +258,13 @@ def _trainer(
     logger: Any,
     callbacks: Many[Callback],
 ) -> lightning.Trainer:
-    """Make a trainer with the user's options."""
-    options = dict(options)
-    several: list[Callback] = [*options.pop("callbacks", []), *callbacks]
-    if settings.compile:
-        several.append(Compilation())
-    if bar:
-        several.append(RichProgressBar(leave=False))
-    defaults: dict[str, Any] = {
-        "accelerator": "cpu",
-        "devices": 1,
-        "default_root_dir": out,
-        "num_sanity_val_steps": 0,
-        "log_every_n_steps": 10,
-        "enable_model_summary": False,
-        "use_distributed_sampler": False,  # the samplers share out the samples themselves
-    }
-    return lightning.Trainer(
-        **(defaults | options),
-        max_epochs=settings.epochs,
-        max_steps=settings.max_steps,
-        callbacks=several,
-        logger=logger if logger is not None else False,
-        enable_progress_bar=bar,
+    length = {"max_epochs": settings.epochs, "max_steps": settings.max_steps}
+    return make_trainer(
+        out,
+        {**options, **length},
+        {"log_every_n_steps": 10},
+        callbacks=callbacks,
+        compiled=settings.compile,
+        bar=bar,
+        logger=logger,
     )

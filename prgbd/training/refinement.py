@@ -18,7 +18,7 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback, RichProgressBar
+from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.utilities.seed import isolate_rng
 
 from prgbd.core.data import Sequence
@@ -26,7 +26,6 @@ from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
-from prgbd.training.compilation import Compilation
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
@@ -40,6 +39,7 @@ from prgbd.training.refinement_module import DepthRefinement, LossRows, points_a
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.sparse_losses import sample_patches
 from prgbd.training.supervision import Supervision, keyframe_samples
+from prgbd.training.trainers import make_trainer
 
 _SCALE_SAMPLES = 16
 
@@ -161,29 +161,14 @@ def _fit(
 def _trainer(
     settings: RefinementSettings, out: Path, trainer_options: Mapping[str, Any], logger: Any, callbacks: list[Callback]
 ) -> lightning.Trainer:
-    """Make a trainer with the user's options."""
-    options = dict(trainer_options)
-    progress = bool(options.pop("enable_progress_bar", sys.stderr.isatty()))
-    several: list[Callback] = [*options.pop("callbacks", []), *callbacks]
-    if settings.compile:
-        several.append(Compilation())
-    if progress:
-        several.append(RichProgressBar(leave=False))
-    defaults: dict[str, Any] = {
-        "accelerator": "cpu",
-        "devices": 1,
-        "max_epochs": settings.epochs,
-        "default_root_dir": out,
-        "num_sanity_val_steps": 0,
-        "log_every_n_steps": 1,
-        "enable_model_summary": False,
-        "use_distributed_sampler": False,  # the sampler shares out the samples itself
-    }
-    return lightning.Trainer(
-        **(defaults | options),
-        callbacks=several,
-        logger=logger if logger is not None else False,
-        enable_progress_bar=progress,
+    return make_trainer(
+        out,
+        trainer_options,
+        {"max_epochs": settings.epochs, "log_every_n_steps": 1},
+        callbacks=callbacks,
+        compiled=settings.compile,
+        bar=bool(trainer_options.get("enable_progress_bar", sys.stderr.isatty())),
+        logger=logger,
     )
 
 

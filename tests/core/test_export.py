@@ -5,17 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.export import (
-    load_slam_result,
-    read_kitti,
-    read_tum,
-    save_slam_result,
-    to_evo,
-    write_kitti,
-    write_ply,
-    write_slam_folder,
-    write_tum,
-)
+from prgbd.core.export import load_slam_result, save_slam_result, write_ply, write_slam_folder
+from prgbd.core.trajectory_files import read_kitti, read_tum, to_evo, write_kitti, write_tum
 from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.export import read_kitti, read_tum, to_evo
+from prgbd.core.trajectory_files import read_kitti, read_tum, to_evo
 from prgbd.core.types import Trajectory
 from prgbd.evaluation.trajectory import absolute_error, evaluate_trajectory, kitti_error, relative_error
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prgbd.core.export import write_slam_folder, write_tum
+from prgbd.core.export import write_slam_folder
 from prgbd.core.files import write_json
+from prgbd.core.trajectory_files import write_tum
 from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
 from prgbd.evaluation.depth import DepthEvaluation
 from prgbd.evaluation.trajectory import evaluate_trajectory

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
+from prgbd.cli.option_values import number
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
@@ -45,7 +46,7 @@ def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
         sequence,
         job.store.path("cache") if cache is None else Path(cache),
         name=job.parts.ids["depth"],
-        percentile=float(settings.number(job.config, "sensing.baseline_percentile")),
+        percentile=float(number(job.config, "sensing.baseline_percentile")),
         batch_size=settings.batch_size(job.config),
         monitor=job.display,
         computing=settings.computing(job.config),
