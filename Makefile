@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint types docs docs-serve clean
+.PHONY: help setup demo test lint types docs docs-serve pictures clean
 
 help:  ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -50,6 +50,9 @@ docs: $(VENV)/.docs  ## Build the documentation into site/ (index.html); any war
 
 docs-serve: $(VENV)/.docs  ## Show the documentation at http://127.0.0.1:8000 while you write
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs serve
+
+pictures: $(STAMP)  ## Take the pictures of the documentation from a demo run: make pictures RUN=outputs/DATE/TIME
+	$(BIN)/python docs/pictures.py $(RUN)
 
 clean:  ## Remove the environment and everything generated
 	rm -rf $(VENV) outputs multirun build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

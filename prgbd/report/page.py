@@ -121,7 +121,7 @@ def _cards(run: Run) -> str:
 def _change_card(name: str, change: Change | None, loops: int) -> str:
     if change is None:
         return ""
-    value = f"{number(change.after)}{change.unit}"
+    value = f"{number(change.after)}{change.unit.replace(' ', '&nbsp;')}"
     if loops > 1:
         value = f"<small>{number(change.before)} →</small> {value}"
         value += f'<span class="badge {change.verdict}">{percent(change.relative)}</span>'

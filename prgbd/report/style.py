@@ -40,7 +40,7 @@ margin-left:8px;letter-spacing:0}
 .grid.medium{grid-template-columns:repeat(auto-fill,minmax(min(100%,330px),1fr))}
 .grid>div{min-width:0;display:grid;gap:16px}
 figure{margin:0;padding:14px 14px 10px;min-width:0}
-figure svg{display:block;width:100%;height:auto;max-height:78vh}
+figure svg{display:block;width:100%;max-width:680px;height:auto;max-height:78vh;margin:0 auto}
 figcaption{color:var(--muted);font-size:13.5px;line-height:1.45;margin-top:6px}
 .scroll{overflow-x:auto;margin:12px 0 6px}
 table{border-collapse:collapse;width:100%;font-size:14.5px;font-variant-numeric:tabular-nums}
