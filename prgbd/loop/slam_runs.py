@@ -221,6 +221,7 @@ def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3"
         "baseline": result.stats.get("baseline"),
         "depth_sigma": error.get("sigma"),
         "depth_shared": error.get("shared"),
+        "doubts": list(result.stats.get("doubts", [])),
     }
 
 
@@ -230,6 +231,8 @@ def describe_pose(name: str, figures: Mapping[str, Any]) -> str:
     if figures.get("ate_rmse") is not None:
         parts.append(f"ATE {figures['ate_rmse']:.3f} m ({figures['alignment']}, {figures['pairs']} poses)")
     parts.append(f"{figures['keyframes']} keyframes, {figures['points']} points")
+    if figures.get("doubts"):
+        parts.append("doubtful: " + "; ".join(figures["doubts"]))
     if figures.get("depth_sigma") is not None:
         sigma, shared = figures["depth_sigma"], figures["depth_shared"]
         parts.append(f"depth errs by {sigma:.0%}, {shared:.0%} of the variance shared by a frame")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,12 +48,17 @@ class Started:
 
 
 class Starter(ABC):
-    """Takes frames until a map can be started."""
+    """Takes frames until a map can be started.
+
+    Attributes:
+        starts: What every map was started from, for the statistics.
+    """
 
     def __init__(self, mapper: LocalMapper, least_keypoints: int) -> None:
         self.mapper = mapper
         self.least_keypoints = least_keypoints
         self.origin: FloatArray = np.eye(4)
+        self.starts: list[dict[str, Any]] = []
 
     def begin_at(self, cTw: FloatArray) -> None:
         """Start the next map at this pose."""
@@ -76,4 +82,5 @@ class DepthStarter(Starter):
             return None
         k = self.mapper.add_keyframe(frame.index, frame.timestamp, self.origin, features, frame.points)
         points = self.mapper.lift_all(k)
+        self.starts.append({"frames": [frame.index], "points": int(np.count_nonzero(points >= 0))})
         return Started(k, (k,), self.origin, points)

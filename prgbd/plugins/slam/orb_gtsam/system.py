@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,6 +25,7 @@ from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
 from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.loop_closing import LoopCloser
 from prgbd.plugins.slam.orb_gtsam.map_file import load_map, loaded_keyframes, save_map
+from prgbd.plugins.slam.orb_gtsam.map_health import doubts_about
 from prgbd.plugins.slam.orb_gtsam.mapping import Map
 from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
 from prgbd.plugins.slam.orb_gtsam.realtime import RealtimeBackend
@@ -35,6 +37,8 @@ from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
 from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
 from prgbd.plugins.slam.orb_gtsam.virtual_baseline import RunningBaseline, follow_baseline, set_baseline
+
+log = logging.getLogger(__name__)
 
 # Modes whose last adjustment asks whether the focal length fits; a sensor's depth says where it does not.
 _SELF_CALIBRATED = ("mono", "pseudo_rgbd")
@@ -212,6 +216,7 @@ class OrbGtsamSLAM(GeometricSLAM):
                 stats["full_ba"] = adjust_map(self._map, self._rig, self.settings, self._backend.mapper)
         stats |= self._backend.statistics()
         stats["loops"] = self._loops.loops
+        stats["starts"] = self._frontend.starter.starts
         stats["stages_ms"] = self._watch.statistics()
         stats["maps"] = len(self._map.map_ids())
         stats["loaded_keyframes"] = loaded_keyframes(self._map)
@@ -221,6 +226,9 @@ class OrbGtsamSLAM(GeometricSLAM):
             error = depth_error(self._map, self._rig)
             stats["depth_error"] = None if error is None else asdict(error)
         result = history.result(self._map, self._rig, stats)
+        stats["doubts"] = doubts_about(result, stats.get("full_ba", {}).get("maps", []))
+        if stats["doubts"]:
+            log.warning("The trajectory is doubtful: %s.", "; ".join(stats["doubts"]))
         self._ready = False
         return result
 

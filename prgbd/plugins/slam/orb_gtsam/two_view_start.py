@@ -140,6 +140,14 @@ class TwoViewStarter(Starter):
         world.observe(k2, partners[good], ids)
         world.points.created[ids] = k2
         world.refresh(ids)
+        self.starts.append(
+            {
+                "frames": [first.index, second.index],
+                "points": len(ids),
+                "model": views.model,
+                "parallax_degrees": round(float(np.degrees(views.parallax)), 2),
+            }
+        )
         earlier = [*self._place_earlier(first, k1, ids), _placed(first, k1, self.origin, len(ids))]
         earlier += self._place_between(first, second, k1, k2, ids)
         earlier.sort(key=lambda placed: placed.ordinal)
