@@ -112,10 +112,14 @@ def main(argv: list[str] | None = None) -> int:
         The exit code: 0, 1 if something that is needed is missing, 2 for a wrong argument.
     """
     parser = argparse.ArgumentParser(prog="python -m prgbd.data", description=__doc__)
+    argv = sys.argv[1:] if argv is None else argv
     parser.add_argument("what", choices=("prepare", "calibrate"))
     parser.add_argument("name", help=f"a data set ({', '.join(GUIDES)}), or the video or folder of images to calibrate")
     parser.add_argument("folder", nargs="?", help="prepare: where it lies, as in data.root=FOLDER")
     parser.add_argument("--out", metavar="FILE", help="calibrate: the camera file; by default beside the recording")
+    if not argv:
+        parser.print_help()
+        return 2
     arguments = parser.parse_args(argv)
     try:
         if arguments.what == "calibrate":

@@ -107,15 +107,23 @@ def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
 
 def _unknown_option(key: str) -> ConfigError:
     names = known_options()
-    near = difflib.get_close_matches(key, names, n=3, cutoff=0.6)
-    parent = key.rpartition(".")[0]
+    parent, _, leaf = key.rpartition(".")
     siblings = [n for n in names if parent and n.rpartition(".")[0] == parent]
+    elsewhere = [] if parent else [n for n in names if n.rpartition(".")[2] == leaf]  # without its group
+    near = _near(leaf, siblings) or elsewhere or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
     hint = "see --help."
     if near:
         hint = f"did you mean {_listed(near)}?"
     elif siblings:
         hint = f"there are {_listed(siblings)}."
     return ConfigError(f"There is no option '{key}'; {hint}")
+
+
+def _near(leaf: str, siblings: list[str]) -> list[str]:
+    """Return the options of a group that a name may stand for: by its initials (lr), or by similar letters."""
+    leaves = {name.rpartition(".")[2]: name for name in siblings}
+    short = [n for last, n in leaves.items() if "_" in last and "".join(w[0] for w in last.split("_") if w) == leaf]
+    return short or [leaves[last] for last in difflib.get_close_matches(leaf, leaves, n=3, cutoff=0.6)]
 
 
 def known_options() -> list[str]:

@@ -132,7 +132,8 @@ def _run(job: Job) -> None:
             raise SystemExit(130) from None
         except PrgbdError as error:
             log.error("%s\n%s", error, traceback.format_exc())
-            error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={job.shown(folder)}")
+            if job.store.has_begun:
+                error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={job.shown(folder)}")
             raise
         except Exception:
             log.error("prgbd failed\n%s", traceback.format_exc())

@@ -14,6 +14,7 @@ from prgbd.cli import settings
 from prgbd.cli.help import choices
 from prgbd.core.errors import ConfigError, DataError, PrgbdError
 from prgbd.core.registry import REGISTRY
+from prgbd.loop.slam_runs import sensor_input
 
 if TYPE_CHECKING:
     from prgbd.core.data import Sequence
@@ -77,6 +78,9 @@ def make_parts(config: Mapping[str, Any]) -> Parts:
         parts.make_slam = _slam_factory(config, ids["slam"])
         with parts.make_slam() as system:  # options and imports are checked now, not after the depth of a whole video
             parts.mode = parts.mode or _mode_of_sequences(sequences, system.modes)
+        if parts.mode in ("rgbd", "stereo"):
+            for sequence in (*sequences, *test_sequences):
+                sensor_input(sequence, parts.mode, parts.baseline)  # refuses recordings without depth or right images
     if use_depth:
         seed_everything(int(config["seed"]))
         parts.estimator = _wrapped(config, REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth")))

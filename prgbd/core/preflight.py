@@ -20,6 +20,7 @@ STILL = 0.3  # pixels of median flow (of 320) below which nothing moves
 FAST = 40.0  # above which features are hard to follow
 SAME = 0.05  # mean grey levels of difference below which two frames are one
 NEARLY_SAME = 0.5  # the same after compression, where nothing moves either
+MANY = 0.25  # of the neighbouring frames are the same picture: every third frame or more is a repeated one
 REPEATED = 0.1  # of the motion to the next frame: a frame that moves less is a repeated one
 BLACK, DARK, BRIGHT = 5.0, 30.0, 225.0  # mean grey levels
 FIELD_OF_VIEW = (25.0, 130.0)  # degrees, horizontal
@@ -124,7 +125,9 @@ def _of_images(look: _Look) -> list[str]:
         found.append("the picture is frozen, every frame is the same; choose another part (data.start, data.stop)")
     elif same or 2 * look.repeated > len(look.flows):
         same = max(same, look.repeated)
-        found.append(f"{same} of {pairs} neighbouring frames are the same picture; set data.step=2 or convert it anew")
+        many = same >= MANY * pairs
+        mend = "; set data.step=2 or convert it anew" if many else ": some frames are repeated, which does little harm"
+        found.append(f"{same} of {pairs} neighbouring frames are the same picture{mend}")
     elif look.flows and np.median(look.flows) < STILL:
         found.append("hardly anything moves, so nothing can be triangulated; choose another part or raise data.step")
     if look.flows and np.median(look.flows) > FAST:
@@ -147,7 +150,9 @@ def _of_turning(sequence: Sequence, look: _Look) -> list[str]:
     found = []
     only = np.quantile(left[:, given], 0.8) < TURNS
     if only:
-        found.append("the camera hardly moves, it only turns, which shows no depth; move it sideways, or give depth=ID")
+        sensor = sequence.frame(0).depth is not None
+        mend = "use slam.mode=rgbd, for there is a sensor" if sensor else "move it sideways, or give depth=ID"
+        found.append(f"the camera hardly moves, it only turns, which shows no depth; {mend}")
     fits = left.min(axis=1) < 2.5 * TURNS
     if fits.sum() >= ENOUGH:
         turns = left[fits].mean(axis=0)

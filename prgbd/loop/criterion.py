@@ -106,10 +106,12 @@ def stop_reason(before: float | None, after: float | None, min_improvement: floa
         return "The held-out loss was not finite after the refinement, so the weights from before are kept."
     if min_improvement is None or before - after > min_improvement * abs(before):
         return ""
+    if after > before:
+        return f"No improvement: the held-out loss rose from {before:.5f} to {after:.5f}, so the old weights are kept."
     drop = 100 * (before - after) / max(abs(before), 1e-12)
     return (
-        f"No improvement: refinement changed the held-out loss from {before:.5f} to {after:.5f} ({drop:.2f} % lower, "
-        f"{100 * min_improvement:g} % asked for), so the weights from before are kept."
+        f"No improvement: the held-out loss fell from {before:.5f} to {after:.5f}, by {drop:.2f} % where more than "
+        f"{100 * min_improvement:g} % is asked for, so the old weights are kept."
     )
 
 

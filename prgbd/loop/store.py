@@ -82,6 +82,11 @@ class RunStore:
         """Whether the whole run is done."""
         return self.is_done(DONE)
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether any step is done."""
+        return any(self.path("steps").rglob("*.json"))
+
     def is_done(self, step: str) -> bool:
         """Say whether a step is done."""
         return self._marker(step).is_file()

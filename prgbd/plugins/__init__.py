@@ -13,7 +13,7 @@ BUILT_IN = (
         "huggingface:HuggingFaceDepth",
         "any depth model of Transformers: Depth Anything, DPT, ...",
     ),
-    ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: mono, rgbd"),
+    ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: all modes"),
     ("slam", "posenet", "posenet:PoseNetworkOdometry", "a pose network's motions, chained: the baseline without SLAM"),
     ("slam", "colmap", "colmap:ColmapSLAM", "COLMAP's structure from motion, offline, with known or unknown camera"),
     ("data", "synthetic", "synthetic:SyntheticSequence", "procedural street or indoor world with true poses and depth"),

@@ -74,7 +74,7 @@ def loops_table(summary: dict[str, Any]) -> Table:
         depth, training = loop.get("depth") or {}, loop.get("training") or {}
         learnt = [name for name in loop.get("pose") or {} if name not in test]
         frames = sum_pose(loop, "frames")
-        baselines = [float(v) for v in (loop.get("baseline") or {}).values() if v is not None]
+        baselines = [float(v) for v in (loop.get("baseline") or {}).values() if v]  # monocular SLAM has none
         before, after = training.get("held_out_before"), training.get("held_out_after")
         table.rows.append(
             [

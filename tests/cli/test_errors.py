@@ -40,6 +40,9 @@ from tests.cli.conftest import FAKES
         ([*FAKES, "training.augment=perhaps"], ["training.augment", "'perhaps'"]),
         ([*FAKES, "training.batch_size=1.5"], ["training.batch_size", "1.5"]),
         ([*FAKES, "+training.lr=1"], ["training.lr"]),
+        ([*FAKES, "training.lr=1"], ["'training.lr'", "'training.learning_rate'"]),
+        ([*FAKES, "training.batchsize=1"], ["'training.batch_size'"]),
+        ([*FAKES, "max_loops=1"], ["'max_loops'", "'task.max_loops'"]),
         ([*FAKES, "loss.photometric=-1"], ["loss.photometric"]),
         ([*FAKES, "evaluation.alignment=sim2"], ["evaluation.alignment", "sim3"]),
         ([*FAKES, "data.root=/no/such/folder"], ["/no/such/folder", "data.root"]),
@@ -68,8 +71,7 @@ def test_bad_arguments(cli, arguments, words):
     for word in words:
         assert word in answer.sentence
     assert not Path("run/summary.json").exists()
-    if "slam.mode=rgbd" not in arguments:
-        assert not Path("run").exists()
+    assert not Path("run").exists()
 
 
 @pytest.mark.parametrize(("network", "value"), [("nan", "NaN"), ("zero", "zero")])
@@ -103,6 +105,27 @@ def images(folder: Path, count: int = 4) -> Path:
         picture = np.random.default_rng(index).integers(0, 255, (64, 96, 3), dtype=np.uint8)
         cv2.imwrite(str(folder / f"{index:03d}.png"), picture)
     return folder
+
+
+def test_a_file_for_a_folder_and_a_folder_for_a_file(cli, tmp_path):
+    (tmp_path / "drive.MP4").write_bytes(b"")
+    assert "data=video" in cli(*FAKES[:2], "data=images", "data.root=drive.MP4", "data.fov=70", "out=run").sentence
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "0.png").write_bytes(b"")
+    assert "data=images" in cli(*FAKES[:2], "data=video", "data.root=frames", "data.fov=70", "out=run").sentence
+
+
+def test_nothing_is_said_to_be_kept_where_nothing_was_done(cli, monkeypatch):
+    from prgbd.core.errors import DataError
+    from prgbd.loop.self_improving import SelfImprovingLoop
+
+    def fail(_):
+        raise DataError("The truth is out there; fetch it.")
+
+    monkeypatch.setattr(SelfImprovingLoop, "run", fail)
+    answer = cli(*FAKES, "out=run")
+    assert "fetch it" in answer.sentence
+    assert "resume" not in answer.err
 
 
 def test_empty_folder(cli, tmp_path):

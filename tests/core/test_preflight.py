@@ -78,7 +78,11 @@ def test_a_recording_of_the_field_has_nothing_unusual() -> None:
         ({"change": lambda frames, i: frames[i // 2].image}, "10 of 19 neighbouring frames are the same picture"),
         ({"change": lambda frames, i: compressed(frames[i // 2].image, i)}, "neighbouring frames are the same picture"),
         ({"change": lambda frames, i: 0 * frames[0].image}, "the images are black"),
-        ({"change": turned}, "it only turns"),
+        (
+            {"change": lambda frames, i: frames[8 if i == 9 else i].image},
+            "2 of 19 neighbouring frames are the same picture: some",
+        ),
+        ({"change": turned}, "it only turns, which shows no depth; use slam.mode=rgbd"),
         ({"change": turned, "camera": PinholeCamera.from_fov(320, 240, 32.2)}, "fits a focal length of about 277"),
         ({"change": turned, "camera": PinholeCamera.from_fov(320, 240, 98.2)}, "fits a focal length of about 277"),
         ({"change": lambda frames, i: frames[0].image + np.uint8(i % 2)}, "hardly anything moves"),
@@ -94,6 +98,13 @@ def test_a_recording_of_the_field_has_nothing_unusual() -> None:
 )
 def test_what_looks_wrong_is_said(options, words) -> None:
     assert words in preflight(Slide(**options)).lines()[1]
+
+
+def test_a_camera_that_only_turns_is_moved_or_given_a_network_where_it_has_no_sensor() -> None:
+    slide = Slide(change=turned)
+    slide.frames = [frame.with_depth(None) for frame in slide.frames]
+    (warning,) = preflight(slide).warnings
+    assert warning.endswith("it only turns, which shows no depth; move it sideways, or give depth=ID")
 
 
 def test_a_frame_that_cannot_be_read_is_left_to_the_run() -> None:

@@ -27,7 +27,10 @@ from tests.loop.fakes import Tiny, Wall
     ],
 )
 def test_stop_rule(before, after, least, stops):
-    assert bool(stop_reason(before, after, least)) == stops
+    reason = stop_reason(before, after, least)
+    assert bool(reason) == stops
+    if stops and None not in (before, after) and after > before:
+        assert f"rose from {before:.5f} to {after:.5f}" in reason
 
 
 def test_names_are_the_paper_s():

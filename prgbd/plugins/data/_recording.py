@@ -16,6 +16,8 @@ from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data._camera import Undistorter
 from prgbd.plugins.data._images import read_depth, read_image
 
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
+
 
 @dataclass
 class Files:
@@ -150,6 +152,9 @@ def existing_root(root: str | Path) -> Path:
         DataError: If it is absent.
     """
     path = Path(root).expanduser()
+    if path.is_file():
+        mend = "for a video take data=video" if path.suffix.lower() in VIDEO_SUFFIXES else "give the folder it lies in"
+        raise DataError(f"{path} is a file, and data.root must be a folder; {mend}.")
     if not path.is_dir():
         raise DataError(f"There is no folder {path}; check the option data.root.")
     return path

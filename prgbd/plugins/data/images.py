@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.plugins.data._camera import known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES, list_images, read_image, safe_name
 from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, frame_range
 
+MOST_DIGITS = 8  # of a frame number; longer numbers are times in some unit, or dates
+
 
 class ImagesSequence(FileSequence):
     """A folder of images in natural order of their names.
+
+    Where the names end in numbers that ascend, their times follow from them, so that a gap in the numbers is a gap in
+    time; else all images are equally far apart.
 
     Args:
         root: The folder of the images, or a folder with several such folders.
@@ -57,7 +64,7 @@ class ImagesSequence(FileSequence):
         pinhole = known_or_estimated(
             camera, fov, folder / "camera.yaml", folder, lambda i: read_image(images[span[i]]), len(span)
         )
-        files = Files(images, np.arange(len(images)) / fps)
+        files = Files(images, _counts(images) / fps)
         super().__init__(safe_name(folder.resolve().name), pinhole, files, start, stop, step)
 
     @classmethod
@@ -68,6 +75,16 @@ class ImagesSequence(FileSequence):
             DataError: If there are none.
         """
         return _names(existing_root(options["root"]))
+
+
+def _counts(images: list[Path]) -> NDArray[np.float64]:
+    """Return how many frames after the first each image is, by the numbers in the names where they say so."""
+    found = [re.search(r"(\d+)$", path.stem) for path in images]
+    numbers = np.array([int(match[1]) if match and len(match[1]) <= MOST_DIGITS else -1 for match in found])
+    steps = np.diff(numbers)
+    if not len(steps) or numbers.min() < 0 or steps.min() < 1:
+        return np.arange(len(images), dtype=np.float64)
+    return (numbers - numbers[0]) / float(np.median(steps))
 
 
 def _names(base: Path) -> list[str | None]:

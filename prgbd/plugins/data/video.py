@@ -15,11 +15,11 @@ from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame
 from prgbd.plugins.data._camera import Undistorter, known_or_estimated
+from prgbd.plugins.data._images import SUFFIXES as IMAGE_SUFFIXES
 from prgbd.plugins.data._images import safe_name
 from prgbd.plugins.data._mp4 import frame_times
-from prgbd.plugins.data._recording import check_index, choose, frame_range
+from prgbd.plugins.data._recording import VIDEO_SUFFIXES, check_index, choose, frame_range
 
-SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
 SKIP = 48  # up to so many frames are decoded and dropped rather than sought
 UNEVEN = 2e-3  # seconds by which frames may last unequally long
 PROBE = 12  # frame by which seeking is tested
@@ -250,11 +250,11 @@ def _three_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _videos(folder: Path) -> list[str]:
-    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)
     if not found:
-        raise DataError(
-            f"The folder {folder} has no videos ({', '.join(SUFFIXES[:4])}, ...); check the option data.root."
-        )
+        images = any(p.suffix.lower() in IMAGE_SUFFIXES for p in folder.iterdir())
+        mend = "take data=images for its images" if images else "check the option data.root"
+        raise DataError(f"The folder {folder} has no videos ({', '.join(VIDEO_SUFFIXES[:4])}, ...); {mend}.")
     return found
 
 

@@ -40,6 +40,23 @@ def test_frames_in_natural_order(root: Path) -> None:
     assert [part.frame(i).image[0, 0, 0] for i in range(3)] == [40, 60, 80]
 
 
+@pytest.mark.parametrize(
+    ("names", "times"),
+    [
+        (["a_0003", "a_0004", "a_0008"], [0, 1, 5]),
+        (["f000", "f005", "f010", "f030"], [0, 1, 2, 6]),
+        (["1403636579763555584", "1403636579813555456"], [0, 1]),
+        (["a1", "b1", "c1"], [0, 1, 2]),
+        (["one", "two"], [0, 1]),
+    ],
+)
+def test_a_gap_in_the_numbers_is_a_gap_in_time(tmp_path: Path, names: list[str], times: list[float]) -> None:
+    for number, name in enumerate(names):
+        write_picture(tmp_path / f"{name}.png", number)
+    scale = float(np.median(np.diff(times)))
+    np.testing.assert_allclose(ImagesSequence(tmp_path, fov=60, fps=1).timestamps, np.array(times) / scale)
+
+
 def test_the_camera_file_beside_the_images_is_found(root: Path) -> None:
     (root / "camera.yaml").write_text("camera: {fx: 70, fy: 71, cx: 30, cy: 22, distortion: [0.2, 0, 0, 0]}")
     sequence = ImagesSequence(root)
