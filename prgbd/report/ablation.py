@@ -9,6 +9,7 @@ from typing import Any
 from prgbd.core.errors import DataError
 from prgbd.core.files import atomic_path
 from prgbd.report import tables
+from prgbd.report.paired import means_over_recordings, paired_differences
 from prgbd.report.paper import published_ablation, published_refinement
 from prgbd.report.reading import Run, judged_sequences, kept_loops, mean_pose, open_run, sum_pose
 from prgbd.report.tables import Cell, Column, Table
@@ -60,7 +61,7 @@ def write_tables(written: list[Table], folder: Path, name: str) -> tuple[Path, P
 
 
 def ablation_tables(folder: Path | str) -> list[Table]:
-    """Return the table of the runs below a folder, and their means over the recordings where these were varied too.
+    """Return the table of the runs below a folder, and where recordings were varied too, their means and differences.
 
     Raises:
         DataError: If there is no run below the folder.
@@ -69,8 +70,8 @@ def ablation_tables(folder: Path | str) -> list[Table]:
     if not paths:
         raise DataError(f"There is no run below {folder}; name the folder of a finished run or of a multirun.")
     table = runs_table(paths, "Ablation")
-    means = means_over_recordings(table)
-    return [table] if means is None else [table, means]
+    further = (means_over_recordings(table), paired_differences(table))
+    return [table, *(extra for extra in further if extra is not None)]
 
 
 def runs_table(paths: list[Path], title: str) -> Table:
@@ -139,26 +140,6 @@ def _paper_row(runs: list[Run], table: Table) -> list[Cell] | None:
 
 def _judged(summary: dict[str, Any]) -> list[str]:
     return judged_sequences(summary) or [str(name) for name in summary.get("sequences") or []]
-
-
-def means_over_recordings(table: Table) -> Table | None:
-    """Return the means of the rows that differ in ``data.sequences`` alone; None if no rows do."""
-    groups: dict[str, list[list[Cell]]] = {}
-    for row in table.rows[: table.contenders]:
-        kept = [part for part in re.split(r", (?=[\w.+]+=)", str(row[0])) if not part.startswith("data.sequences=")]
-        groups.setdefault(", ".join(kept) or "all runs", []).append(row)
-    runs = sum(map(len, groups.values()))
-    if len(groups) == runs or not any("data.sequences=" in str(row[0]) for row in table.rows):
-        return None
-    out = Table(f"{table.title}, means over recordings", [table.columns[0], Column("runs"), *table.columns[1:]])
-    for label, rows in groups.items():
-        cells: list[Cell] = []
-        for values in zip(*(row[1:] for row in rows), strict=True):
-            numbers = [float(v) for v in values if isinstance(v, int | float)]
-            cells.append(sum(numbers) / len(numbers) if len(numbers) == len(values) else None)
-        out.rows.append([label, len(rows), *cells])
-    out.note = "Means over the runs of a row; a figure that one of them lacks is left out."
-    return out.without_empty_columns()
 
 
 def _cells(summary: dict[str, Any]) -> list[Cell]:

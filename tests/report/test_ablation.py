@@ -5,7 +5,8 @@ import pytest
 from prgbd.core.errors import DataError
 from prgbd.core.files import read_json, write_json
 from prgbd.report.__main__ import main
-from prgbd.report.ablation import ablation_tables, find_runs, join, means_over_recordings, run_labels
+from prgbd.report.ablation import ablation_tables, find_runs, join, run_labels
+from prgbd.report.paired import means_over_recordings, paired_differences
 from prgbd.report.paper import published_refinement
 from prgbd.report.rendering import Column, Table
 from tests.report.fake_run import make_run
@@ -66,6 +67,26 @@ def test_rows_that_differ_in_the_recording_alone_are_averaged():
     assert means.rows[1] == ["loss=no_photometric", 2, pytest.approx(0.45), 2.0]
     table.rows = table.rows[:2]
     assert means_over_recordings(table) is None
+
+
+def test_rows_are_compared_on_the_recordings_that_they_share():
+    """The worlds differ by more than the rows do, yet the row without the term is worse on each of them."""
+    table = Table("Ablation", [Column("run"), Column("loops"), Column("Abs Rel", "min"), Column("a1", "max")])
+    worlds = {"a": (0.10, 0.12, 0.9, 0.8), "b": (0.20, 0.23, 0.7, 0.8), "c": (0.40, 0.44, 0.5, 0.6)}
+    for world, (error, without, a1, a1_without) in worlds.items():
+        table.rows.append([f"loss=no_photometric, data.sequences=[{world}]", 1, without, a1_without])
+        table.rows.append([f"loss=all, data.sequences=[{world}]", 1, error, a1])
+    table.rows.append(["loss=no_photometric, data.sequences=[d]", 1, 9.0, 9.0])  # loss=all did not finish
+    table.rows.append(["loss=sparse, data.sequences=[a]", 1, 9.0, 9.0])
+    paired = paired_differences(table)
+    assert "differences from loss=all" in paired.title
+    assert [c.title for c in paired.columns] == ["run", "Abs Rel", "a1"]
+    assert [row[0] for row in paired.rows] == ["loss=no_photometric"]
+    _, error, a1 = paired.rows[0]
+    assert error == "+0.0300 ± 0.00577, worse on 3 of 3"  # 0.02, 0.03, 0.04
+    assert a1 == "+0.0333 ± 0.0667, worse on 1 of 3"  # higher is better
+    table.rows = table.rows[:2]
+    assert paired_differences(table) is None
 
 
 def test_the_paper_s_loops_stand_below_runs_on_its_test_recordings(tmp_path):
