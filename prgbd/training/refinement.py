@@ -25,6 +25,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
+from prgbd.training.batch_statistics import measure_batch_statistics
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
@@ -149,13 +150,25 @@ def _fit(
     with tensors_by_name():
         trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
     handover.collect()
-    if rows.rows[-1]["split"] != "held_out":
+    measured = settings.measure_batchnorm and not settings.freeze_batchnorm and _measure_statistics(module, data, gauge)
+    if measured or rows.rows[-1]["split"] != "held_out":
         last = rows.rows[-1]
         gauge.validate(module, datamodule=data, verbose=False)
         rows.rows[-1] |= {"epoch": last["epoch"], "step": last["step"]}
     if not settings.checkpoint:
         shutil.rmtree(out / "checkpoint", ignore_errors=True)
     return rows.rows
+
+
+def _measure_statistics(module: DepthRefinement, data: RefinementData, trainer: lightning.Trainer) -> bool:
+    """Measure the statistics of batch normalisation on the keyframes; say whether there are any."""
+    home = next((p.device for p in module.parameters()), torch.device("cpu"))
+    device = trainer.strategy.root_device
+    module.to(device)
+    try:
+        return measure_batch_statistics(module.estimator, (images.to(device) for images in data.mixed_keyframes())) > 0
+    finally:
+        module.to(home)
 
 
 def _trainer(

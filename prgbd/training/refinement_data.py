@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from prgbd.training.images import decode_frames
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.sampling import EpochSampler, ResumableData
 from prgbd.training.supervision import KeyframeSample, Supervision
+
+_IMAGES_PER_SAMPLE = 3  # c, k1 and k2 pass through the network
 
 
 class RefinementBatch(NamedTuple):
@@ -71,6 +74,11 @@ class SupervisedImages:
     frames: NDArray[np.int64]
     images: NDArray[np.uint8]
     scale: float = 1.0
+
+    def keyframe(self, index: int) -> NDArray[np.uint8]:
+        """Return the image of a sample's own keyframe, (3, h, w)."""
+        image: NDArray[np.uint8] = self.images[np.searchsorted(self.frames, self.supervision.samples[index].frames[0])]
+        return image
 
     def sample(self, index: int) -> RefinementBatch:
         """Return a sample in tensors, at the network's input size and in the network's scale."""
@@ -168,15 +176,15 @@ class _Samples(Dataset[RefinementBatch]):
     """Chosen samples of all sequences."""
 
     def __init__(self, sources: Many[SupervisedImages], chosen: Many[tuple[int, int]]) -> None:
-        self._sources = sources
-        self._chosen = chosen
+        self.sources = sources
+        self.chosen = chosen
 
     def __len__(self) -> int:
-        return len(self._chosen)
+        return len(self.chosen)
 
     def __getitem__(self, index: int) -> RefinementBatch:
-        source, sample = self._chosen[index]
-        return self._sources[source].sample(sample)
+        source, sample = self.chosen[index]
+        return self.sources[source].sample(sample)
 
 
 class RefinementData(ResumableData):
@@ -199,6 +207,17 @@ class RefinementData(ResumableData):
         self._train = _Samples(sources, [everything[i] for i in train])
         self._held_out = _Samples(sources, [everything[i] for i in held_out])
         self.train_samples, self.held_out_samples = len(train), len(held_out)
+
+    def mixed_keyframes(self) -> Iterator[Tensor]:
+        """Yield the keyframes that train, (B, 3, H, W) float32 in [0, 1], as many at a time as the network trains with.
+
+        Every batch is spread over the recordings, as shuffled ones are: neighbours vary less than they do.
+        """
+        chosen = self._train.chosen
+        batches = max(1, len(chosen) // (_IMAGES_PER_SAMPLE * self._settings.batch_size))
+        for first in range(batches):
+            images = [self._train.sources[s].keyframe(i) for s, i in chosen[first::batches]]
+            yield torch.from_numpy(np.stack(images)).float() / 255
 
     def _loader(self, samples: _Samples, sampler: EpochSampler | None) -> DataLoader[RefinementBatch]:
         workers = self._settings.workers

@@ -8,11 +8,12 @@ from typing import Any
 import lightning
 import torch
 from lightning.pytorch.callbacks import Callback
-from torch import Tensor, nn
+from torch import Tensor
 
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.types import DepthPrediction
 from prgbd.training.augmentation import augmented
+from prgbd.training.batch_statistics import BATCH_NORMALISATION
 from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
 from prgbd.training.refinement_data import RefinementBatch
@@ -20,8 +21,6 @@ from prgbd.training.refinement_settings import TERMS, RefinementSettings
 from prgbd.training.sampling import step_seed
 from prgbd.training.sparse_losses import depth_consistency, depth_transfer
 from prgbd.training.warping import invert_rigid
-
-_BATCHNORM = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d, nn.SyncBatchNorm)
 
 
 def points_at(batch: RefinementBatch, depth: Tensor, view: int | None) -> tuple[Tensor, Tensor]:
@@ -64,7 +63,7 @@ class DepthRefinement(lightning.LightningModule):
         super().train(mode)
         if mode and self.settings.freeze_batchnorm:
             for module in self.modules():
-                if isinstance(module, _BATCHNORM):
+                if isinstance(module, BATCH_NORMALISATION):
                     module.eval()
         return self
 

@@ -39,6 +39,8 @@ class RefinementSettings:
         freeze_batchnorm: Keep the statistics of batch normalisation as pre-training left them. By default they follow
             the batches, as in pre-training: on the synthetic street (38 keyframes, 3 epochs at 5e-5, photometric) that
             took Abs Rel from 0.203 to 0.183, frozen statistics to 0.209. Freeze them for batches of one or two.
+        measure_batchnorm: Measure those statistics anew on the keyframes that trained, once the training is over; see
+            ``batch_statistics.measure_batch_statistics``. Without effect where they are frozen.
         workers: Processes that load batches; images lie decoded in memory, so 0 is usually fastest.
         seed: Of shuffling, augmentation and the automatic mask.
         val_fraction: Part of the keyframes that is held out for the label-free criterion; 0 measures it on the
@@ -81,6 +83,7 @@ class RefinementSettings:
     automask: bool = True
     augment: bool = False
     freeze_batchnorm: bool = False
+    measure_batchnorm: bool = False
     workers: int = 0
     seed: int = 0
     val_fraction: float = 0.1

@@ -150,6 +150,30 @@ def test_frozen_statistics_stay(wall, tmp_path):
         assert network.training
 
 
+def test_statistics_measured_anew_are_those_of_the_final_weights(wall, tmp_path):
+    networks = {}
+    for measure in (False, True):
+        network = networks[measure] = TiltNet()
+        network.train()
+        outcome = refine(network, [wall], replace(QUICK, epochs=2, measure_batchnorm=measure), tmp_path / str(measure))
+        rows = [row for row in outcome.losses if row["split"] == "held_out"]
+        assert len(rows) == 3 + measure  # before, after each epoch, and once more
+        assert outcome.held_out_after == rows[-1]["total"]
+    assert rows[-1]["total"] != rows[-2]["total"]
+    assert rows[-1]["step"] == rows[-2]["step"]
+    plain, measured = networks[False], networks[True]
+    for name, weight in plain.named_parameters():
+        assert torch.equal(weight, measured.get_parameter(name))
+    assert not torch.equal(plain.conv[1].running_var, measured.conv[1].running_var)
+    assert measured.conv[1].momentum == 0.1
+    assert measured.training
+    frozen = TiltNet()
+    statistics = frozen.conv[1].running_mean.clone()
+    settings = replace(QUICK, epochs=1, freeze_batchnorm=True, measure_batchnorm=True)
+    refine(frozen, [wall], settings, tmp_path / "frozen")
+    assert torch.equal(frozen.conv[1].running_mean, statistics)
+
+
 def test_images_are_decoded_once_and_may_lie_in_a_file(tmp_path):
     runs = []
     for memory in (1024, 0):
