@@ -1,6 +1,7 @@
 """``python -m prgbd.data prepare NAME [FOLDER]``: what to download and from where, and what of it lies in a folder.
 
 ``python -m prgbd.data calibrate VIDEO``: the camera of a video or a folder of images, estimated by COLMAP.
+``python -m prgbd.data leaderboard RUN [FOLDER]``: a run's trajectories as the KITTI odometry benchmark takes them.
 """
 
 from __future__ import annotations
@@ -113,10 +114,23 @@ def main(argv: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m prgbd.data", description=__doc__)
     argv = sys.argv[1:] if argv is None else argv
-    parser.add_argument("what", choices=("prepare", "calibrate"))
-    parser.add_argument("name", help=f"a data set ({', '.join(GUIDES)}), or the video or folder of images to calibrate")
-    parser.add_argument("folder", nargs="?", help="prepare: where it lies, as in data.root=FOLDER")
+    parser.add_argument("what", choices=("prepare", "calibrate", "leaderboard"))
+    parser.add_argument(
+        "name",
+        help=f"a data set ({', '.join(GUIDES)}), the video or folder of images to calibrate, or the folder of a run",
+    )
+    parser.add_argument(
+        "folder",
+        nargs="?",
+        help="prepare: where it lies, as in data.root=FOLDER; leaderboard: where the files go (RUN/leaderboard)",
+    )
     parser.add_argument("--out", metavar="FILE", help="calibrate: the camera file; by default beside the recording")
+    parser.add_argument(
+        "--scale",
+        metavar="FACTOR",
+        default="1",
+        help="leaderboard: on translations; truth takes the factor found on the run's recordings with true poses",
+    )
     if not argv:
         parser.print_help()
         return 2
@@ -124,6 +138,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if arguments.what == "calibrate":
             return _calibrate(Path(arguments.name).expanduser(), arguments.out)
+        if arguments.what == "leaderboard":
+            return _leaderboard(Path(arguments.name), arguments.folder, arguments.scale)
         guide = _guide(arguments.name)
         for line in _described(arguments.name, guide):
             print(line)
@@ -160,6 +176,16 @@ def _calibrate(recording: Path, out: str | None) -> int:
         temporary.write_text(estimate.to_yaml(recording.name), encoding="utf-8")
     print(f"{recording}: {estimate.words()}")
     print(f"Written to {file}" + (f"; data={kind} takes it by itself." if file == beside else f"; data.camera={file}"))
+    return 0
+
+
+def _leaderboard(run: Path, folder: str | None, scale: str) -> int:
+    from prgbd.cli.leaderboard import write_leaderboard
+
+    for file in write_leaderboard(run.expanduser(), None if folder is None else Path(folder).expanduser(), scale):
+        filled = file.frames - file.tracked
+        note = f", {filled} of them interpolated or held, for they have no pose" if filled else ""
+        print(f"{file.path}: {file.frames} poses, scale {file.scale:.4g}{note}")
     return 0
 
 

@@ -30,11 +30,11 @@ class Rendered:
 def render(world: str, width: int, height: int, fov: float) -> Rendered:
     """Render the first frames of a synthetic world."""
     sequence = prgbd.make_data("synthetic", sequence=world, frames=FRAMES, width=width, height=height, fov=fov)
-    images = [_png(sequence.frame(i).image[..., ::-1]) for i in range(FRAMES)]
+    images = [png(sequence.frame(i).image[..., ::-1]) for i in range(FRAMES)]
     return Rendered(images, [sequence.depth(i) for i in range(FRAMES)], sequence.poses, sequence.camera)
 
 
-def _png(pixels: np.ndarray) -> bytes:
+def png(pixels: np.ndarray) -> bytes:
     found, data = cv2.imencode(".png", pixels)
     assert found
     return data.tobytes()
@@ -109,7 +109,7 @@ def write_split(path: Path, drives: Iterable[str], frames: Iterable[int], day: s
 def write_tum(root: Path, rendered: Rendered, names: Iterable[str], start: float = 1305031229.5) -> Path:
     """Write recordings with colour, depth and motion capture."""
     stamps = [f"{start + i / 30:.6f}" for i in range(FRAMES)]
-    levels = [_png((5000 * depth).round().clip(0, 65535).astype(np.uint16)) for depth in rendered.depths]
+    levels = [png((5000 * depth).round().clip(0, 65535).astype(np.uint16)) for depth in rendered.depths]
     truth = [
         " ".join([stamp, *(f"{x:.6f}" for x in (*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()))])
         for stamp, pose in zip(stamps, rendered.poses, strict=True)

@@ -30,6 +30,9 @@ class KittiOdometrySequence(FileSequence):
     The published poses are those of camera 0; for the colour camera they are moved by its offset (about 6 cm), so
     ``poses`` always belongs to the images. Right images come with the frames that have one.
 
+    Attributes:
+        c0Tc: (4, 4) metres; maps the coordinates of the camera that is used to those of camera 0.
+
     Args:
         root: The folder that holds ``sequences`` and ``poses`` (or ``dataset`` with them).
         sequence: For example ``"00"``; a number works too. None takes the only one.
@@ -66,8 +69,9 @@ class KittiOdometrySequence(FileSequence):
         times = _times(folder / "times.txt", numbers)
         poses = _poses(base / "poses" / f"{name}.txt", len(times))
         files = Files(images, times[numbers])
+        self.c0Tc = _offset(matrices[0], P)
         if poses is not None:
-            files.poses = poses[numbers] @ _offset(matrices[0], P)
+            files.poses = poses[numbers] @ self.c0Tc
         right_folder = folder / f"image_{right}"
         rights = [path if (path := right_folder / image.name).is_file() else None for image in images]
         if any(rights):
