@@ -38,6 +38,7 @@ class Parts:
         ids: Ids of the plug-ins by kind; "" where none is used.
         sequences: Recordings to run on (and train on).
         test_sequences: Recordings that are evaluated but not trained on.
+        depth_tests: Images whose depth is evaluated in every loop, by ``evaluation.depth_test``.
         estimator: The depth network, where the task uses one.
         make_slam: Makes a SLAM system, where the task uses one.
         mode: ``mono``, ``rgbd`` (the sensor's depth), ``stereo`` or ``pseudo_rgbd`` (the network's depth).
@@ -48,6 +49,7 @@ class Parts:
     ids: dict[str, str]
     sequences: list[Sequence]
     test_sequences: list[Sequence] = field(default_factory=list)
+    depth_tests: list[Sequence] = field(default_factory=list)
     estimator: DepthEstimator | None = None
     make_slam: Callable[[], GeometricSLAM] | None = None
     mode: str = ""
@@ -86,6 +88,7 @@ def make_parts(config: Mapping[str, Any]) -> Parts:
         parts.estimator = _wrapped(config, REGISTRY.make("depth", ids["depth"], **plugin_options(config, "depth")))
     if task == "self_improve":
         parts.make_baselines = _baselines(config, parts)
+        parts.depth_tests = _depth_tests(config, ids["data"])
     parts.ids = {
         "slam": ids["slam"] if use_slam else "",
         "depth": ids["depth"] if use_depth else "",
@@ -231,6 +234,28 @@ def _make_sequences(config: Mapping[str, Any], plugin_id: str) -> tuple[list[Seq
         if len(sequence) < 2:
             raise DataError(f"The sequence '{sequence.name}' has {len(sequence)} frame; SLAM needs at least two.")
     return sequences, test_sequences
+
+
+def _depth_tests(config: Mapping[str, Any], plugin_id: str) -> list[Sequence]:
+    """Make the images of ``evaluation.depth_test``: all recordings of the same plug-in under other options.
+
+    Raises:
+        ConfigError: If the option is no mapping or changes nothing.
+        DataError: If the images have no true depth.
+    """
+    changes = config["evaluation"].get("depth_test")
+    if changes is None:
+        return []
+    options = plugin_options(config, "data")
+    if not isinstance(changes, Mapping) or not changes or all(options.get(k) == v for k, v in changes.items()):
+        raise ConfigError(
+            f"evaluation.depth_test is {changes!r}; give options of data={plugin_id} that name other images, such as "
+            "{split: test_files.txt}."
+        )
+    found = REGISTRY.make_sequences(plugin_id, None, **{**options, **changes})
+    if not any(sequence.depth(index) is not None for sequence in found for index in {0, len(sequence) - 1}):
+        raise DataError(f"The images of evaluation.depth_test={dict(changes)} have no true depth; name others.")
+    return found
 
 
 def _names(config: Mapping[str, Any], key: str) -> list[str] | None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from prgbd.core.computing import Computing
     from prgbd.core.depth import DepthEstimator
     from prgbd.loop.depth_figures import DepthProtocol
-    from prgbd.loop.self_improving import LoopSettings
+    from prgbd.loop.loop_settings import LoopSettings
     from prgbd.loop.slam_runs import MapFiles
     from prgbd.loop.summary import RunIdentity
     from prgbd.loop.viewing import ViewerMaker
@@ -150,7 +150,7 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
     Raises:
         ConfigError: If a value cannot work.
     """
-    from prgbd.loop.self_improving import LoopSettings
+    from prgbd.loop.loop_settings import LoopSettings
 
     cache = config["sensing"].get("cache")
     return LoopSettings(

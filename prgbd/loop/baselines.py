@@ -8,8 +8,8 @@ from typing import Any
 from prgbd.core.data import Sequence
 from prgbd.core.export import write_slam_folder
 from prgbd.core.slam import GeometricSLAM
+from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor
-from prgbd.loop.self_improving import LoopSettings
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
 from prgbd.loop.store import RunStore
 

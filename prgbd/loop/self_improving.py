@@ -4,88 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
-from prgbd.core.export import DEFAULT_FORMATS, load_slam_result, write_slam_folder
+from prgbd.core.export import load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
-from prgbd.loop.criterion import CRITERIA, compare, stop_reason
-from prgbd.loop.depth_figures import DepthProtocol, depth_figures, write_samples
+from prgbd.loop.criterion import compare, stop_reason
+from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.evidence import evidence
+from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor, SilentMonitor
 from prgbd.loop.refining import Refiner
 from prgbd.loop.sensing import DepthSensor, weights_fingerprint
-from prgbd.loop.slam_runs import MapFiles, SlamInput, describe_pose, pose_figures, run_slam
+from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
 from prgbd.loop.store import RunStore
 from prgbd.loop.summary import RunIdentity, write_summary, write_truth
 from prgbd.loop.viewing import ViewerMaker
-
-
-@dataclass(frozen=True)
-class LoopSettings:
-    """Options of the loop.
-
-    Attributes:
-        max_loops: Refinements of the network at most.
-        min_improvement: The criterion must drop by more than this fraction, or the loop stops; None never stops it
-            early and keeps the last loop, for ablations.
-        criterion: What decides whether a loop helped: ``held_out`` (the loss of the refinement on held-out keyframes),
-            ``slam`` (what SLAM made of the refined network, see ``prgbd.loop.criterion``) or ``both``.
-        patience: Go on after so many loops in a row that SLAM's evidence calls no better; the best one is kept anyway.
-        baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
-        running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
-        baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
-        batch_size: Frames per forward pass of the sensor; None chooses by device.
-        computing: Precision and speed of the sensor's network.
-        cache: Folder for predicted depth that several runs share; None keeps it in the run until it is used.
-        depth: How depth is evaluated.
-        alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
-        seed: Seed of everything random.
-        export: Formats of SLAM's results, see ``prgbd.core.export.write_slam_folder``.
-        maps: Files of SLAM's maps; not with refinement, which changes the scale of the depth.
-
-    Raises:
-        ConfigError: If a value cannot work.
-    """
-
-    max_loops: int = 3
-    min_improvement: float | None = 0.0
-    criterion: str = "held_out"
-    patience: int = 0
-    baseline: float | None = None
-    running_baseline: bool = False
-    baseline_percentile: float = 100.0
-    batch_size: int | None = None
-    computing: Computing = field(default_factory=Computing)
-    cache: Path | None = None
-    depth: DepthProtocol = field(default_factory=DepthProtocol)
-    alignment: str = "sim3"
-    seed: int = 0
-    export: tuple[str, ...] = DEFAULT_FORMATS
-    maps: MapFiles = field(default_factory=MapFiles)
-
-    def __post_init__(self) -> None:
-        if isinstance(self.max_loops, bool) or not isinstance(self.max_loops, int) or self.max_loops < 0:
-            raise ConfigError(f"task.max_loops is {self.max_loops}; it must be a whole number, 0 or more.")
-        if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
-            raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
-        if self.criterion not in CRITERIA:
-            raise ConfigError(f"task.criterion is '{self.criterion}'; choose one of {', '.join(CRITERIA)}.")
-        if isinstance(self.patience, bool) or not isinstance(self.patience, int) or self.patience < 0:
-            raise ConfigError(f"task.patience is {self.patience}; it must be a whole number, 0 or more.")
-        if not 0 < self.baseline_percentile <= 100:
-            raise ConfigError(
-                f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
-            )
-        if self.max_loops and self.maps != MapFiles():
-            raise ConfigError("Maps of SLAM are loaded and saved without refinement alone; add task=slam.")
 
 
 class SelfImprovingLoop:
@@ -103,6 +41,8 @@ class SelfImprovingLoop:
         store: Remembers the run.
         identity: What the run is about, for the summary.
         test_sequences: Recordings that are sensed and evaluated in every loop but not learnt from.
+        depth_tests: Images whose depth is evaluated in every loop, in place of that of the recordings; no SLAM runs on
+            them, so they need not be neighbours in time.
         monitor: Who watches.
         make_viewer: Makes a viewer for each SLAM run.
         more: Further entries of the summary.
@@ -119,6 +59,7 @@ class SelfImprovingLoop:
         identity: RunIdentity,
         *,
         test_sequences: list[Sequence] | None = None,
+        depth_tests: list[Sequence] | None = None,
         monitor: Monitor | None = None,
         make_viewer: ViewerMaker | None = None,
         more: Mapping[str, Any] | None = None,
@@ -127,6 +68,7 @@ class SelfImprovingLoop:
         self.make_slam = make_slam
         self.sequences = sequences
         self.test_sequences = test_sequences or []
+        self.depth_tests = depth_tests or []
         self.refiner = refiner
         self.settings = settings
         self.store = store
@@ -134,7 +76,11 @@ class SelfImprovingLoop:
         self.monitor = monitor or SilentMonitor()
         self.make_viewer = make_viewer
         self._evidence: dict[int, dict[str, Any]] = {}
-        self.more = {"test_sequences": [sequence.name for sequence in self.test_sequences], **(more or {})}
+        self.more = {
+            "test_sequences": [sequence.name for sequence in self.test_sequences],
+            **({"depth_tests": [sequence.name for sequence in self.depth_tests]} if self.depth_tests else {}),
+            **(more or {}),
+        }
 
     @property
     def all_sequences(self) -> list[Sequence]:
@@ -225,12 +171,13 @@ class SelfImprovingLoop:
             self.monitor.say("  " + describe_pose(name, pose[name]))
             if self.settings.max_loops:
                 found[name] = self.store.step(step_name(loop, "evidence", name), partial(self._find, loop, sensor))
-        depth = self.store.step(step_name(loop, "depth"), lambda: self._evaluate_depth(loop, sensors))
+        tests = [self._sensor(loop, sequence) for sequence in self.depth_tests]
+        depth = self.store.step(step_name(loop, "depth"), lambda: self._evaluate_depth(loop, sensors, tests))
         if depth and depth["images"]:
             self.monitor.say(describe_depth(depth))
         seconds = self.store.step(step_name(loop, "seconds"), lambda: time.perf_counter() - began)
         if self.settings.cache is None:
-            for sensor in sensors:
+            for sensor in (*sensors, *tests):
                 sensor.forget()
         return {
             "loop": loop,
@@ -287,10 +234,12 @@ class SelfImprovingLoop:
             write_slam_folder(result, folder, self.settings.export, frame=sequence.frame)
         return pose_figures(result, sequence, self.settings.alignment)
 
-    def _evaluate_depth(self, loop: int, sensors: list[DepthSensor]) -> dict[str, Any] | None:
-        """Depth figures on the test recordings if there are any, else on all; and pictures of all."""
-        write_samples(sensors, self.store.loop(loop, "depth", "samples.npz"))
-        tested = sensors[len(self.sequences) :] or sensors
+    def _evaluate_depth(self, loop: int, sensors: list[DepthSensor], tests: list[DepthSensor]) -> dict[str, Any] | None:
+        """Depth figures on the depth tests, else the test recordings, else on all; and pictures of the first or all."""
+        for test in tests:
+            test.prepare()
+        write_samples(tests or sensors, self.store.loop(loop, "depth", "samples.npz"))
+        tested = tests or sensors[len(self.sequences) :] or sensors
         return depth_figures(tested, self.settings.depth)
 
     def _refine(self, loop: int) -> tuple[dict[str, Any] | None, str]:

@@ -49,6 +49,8 @@ from tests.cli.conftest import FAKES
         ([*FAKES, "+data.sequences=[07]"], ["'07'", "'00'"]),
         ([*FAKES[:1], "depth=test/fussy", "depth.weights=w.pth", FAKES[2]], ["w.pth", "weights"]),
         (["task=slam", "slam.mode=rgbd", *FAKES], ["wall", "slam.mode=mono"]),
+        ([*FAKES, "evaluation.depth_test=all"], ["evaluation.depth_test", "data=test/wall"]),
+        ([*FAKES, "evaluation.depth_test={frmes: 3}"], ["'frmes'", "'frames'"]),
         (["resume=nowhere"], ["nowhere", "config.yaml"]),
         (["resume=last"], ["unfinished", "outputs"]),
         (["-m", "resume=last"], ["multirun"]),

@@ -90,15 +90,23 @@ def test_kitti_odometry_with_all_rows_of_the_pose_table(cli, tmp_path, street):
 def test_kitti_eigen_is_refined_on_drives_and_evaluated_on_test_images(cli, kitti_raw):
     common = ("experiment=kitti_eigen", f"data.root={kitti_raw / 'data'}", *SMALL)
     loop = ("task.max_loops=1", "task.min_improvement=null", "out=refined")
-    answer = cli(*common, f"data.split={kitti_raw / 'train_files.txt'}", *loop)
+    images = f"evaluation.depth_test={{split: {kitti_raw / 'test_files.txt'}}}"
+    answer = cli(*common, f"data.split={kitti_raw / 'train_files.txt'}", images, *loop)
     assert answer.code == 0, answer.err
-    assert summary_of("refined")["loops"][0]["depth"]["images"] == layouts.FRAMES
+    summary = summary_of("refined")
+    assert summary["sequences"] == ["2011_09_26_drive_0001_sync"]
+    assert summary["depth_tests"] == ["2011_09_26_drive_0002_sync"]
+    assert set(summary["loops"][1]["pose"]) == {"2011_09_26_drive_0001_sync"}
+    assert [loop["depth"]["images"] for loop in summary["loops"]] == [2, 2]
+    with np.load("refined/loops/01/depth/samples.npz") as samples:
+        assert set(samples["sequence"]) == {"2011_09_26_drive_0002_sync"}
     test = (f"data.split={kitti_raw / 'test_files.txt'}", "depth.weights=refined/weights", "task=evaluate", "out=run")
     answer = cli(*common, *test)
     assert answer.code == 0, answer.err
     depth = summary_of("run")["loops"][0]["depth"]
     assert (depth["images"], depth["crop"], depth["cap"]) == (2, "garg", [0.001, 80.0])
     assert [row["cap"] for row in depth["by_cap"]] == [30, 40, 50, 60, 70, 80]
+    assert depth["by_cap"] == summary["loops"][1]["depth"]["by_cap"]  # the network that the loop kept
     rows = {str(row[0]): row for row in depth_table(summary_of("run")).rows}
     assert rows["pRGBD-Refined (paper)"][1:3] == [0.113, 0.793]
     assert "MonoDepth2-M (paper)" in answer.out

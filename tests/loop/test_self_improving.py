@@ -7,7 +7,8 @@ import pytest
 
 from prgbd.core.errors import ConfigError
 from prgbd.loop.depth_figures import DepthProtocol, depth_figures, evenly, write_samples
-from prgbd.loop.self_improving import LoopSettings, loop_name, stop_reason
+from prgbd.loop.loop_settings import LoopSettings
+from prgbd.loop.self_improving import loop_name, stop_reason
 from prgbd.loop.sensing import DepthSensor
 from tests.loop.fakes import Tiny, Wall
 

@@ -29,6 +29,7 @@ def run(job: Job) -> None:
         job.store,
         settings.identity(config, parts),
         test_sequences=parts.test_sequences,
+        depth_tests=parts.depth_tests,
         monitor=job.display,
         make_viewer=settings.viewer_maker(config),
         more={"baselines": baselines} if baselines else None,
