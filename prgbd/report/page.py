@@ -9,7 +9,7 @@ from prgbd.core.files import atomic_path
 from prgbd.report import depth_sections, interactive, sections
 from prgbd.report.reading import Run, open_run, sum_pose
 from prgbd.report.style import CSS
-from prgbd.report.words import Change, depth_change, describe, number, percent, pose_change
+from prgbd.report.words import Change, depth_change, describe, held_out_change, number, percent, pose_change
 
 LARGEST = 8_000_000  # bytes; a page beyond that is slow to open on a phone
 TITLES = {
@@ -96,6 +96,8 @@ def _cards(run: Run) -> str:
         _change_card("Pose error", pose_change(run.summary), len(run.kept_loops)),
         _change_card("Depth error", depth_change(run.summary), len(run.kept_loops)),
     ]
+    if not any(cards):
+        cards.append(_change_card("Held-out loss", held_out_change(run.summary), len(run.kept_loops)))
     if run.loops:
         last = run.kept_loops[-1]
         frames, tracked = sum_pose(last, "frames"), sum_pose(last, "tracked_frames")

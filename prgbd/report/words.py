@@ -92,6 +92,17 @@ def depth_change(summary: dict[str, Any]) -> Change | None:
     return Change(float(loops[0]["abs_rel"]), float(loops[-1]["abs_rel"]), depth_basis(loops[-1]))
 
 
+def held_out_change(summary: dict[str, Any]) -> Change | None:
+    """Return what the last refinement that the run keeps did to its loss on held-out keyframes; None without any."""
+    kept = kept_loops(summary)
+    trained = [loop.get("training") or {} for loop in kept[:-1]]
+    before, after = (trained[-1].get(f"held_out_{when}") for when in ("before", "after")) if trained else (None, None)
+    if before is None or after is None:
+        return None
+    which = "of the refinement" if len(trained) == 1 else "of the last refinement"
+    return Change(float(before), float(after), f"{which}, on keyframes that it did not learn from, without labels")
+
+
 def depth_basis(depth: dict[str, Any]) -> str:
     """Return the protocol of depth figures in words."""
     parts = ["Abs Rel"]
@@ -122,11 +133,42 @@ def describe(summary: dict[str, Any]) -> list[str]:
         rounds = len(loops) - 1
         if told:
             sentences.append(f"Over {rounds} loop{'s' * (rounds != 1)} the {told}.")
+        else:
+            sentences += _without_truth(loops, held_out_change(summary))
         sentences += _caveats(loops, judged_sequences(summary))
         sentences += _better_loop(loops, judged_sequences(summary))
     if pose is None:
         sentences += _missing_pose(loops)
     return sentences + _depth_error(loops[-1]) + _stop(summary)
+
+
+def _without_truth(loops: list[dict[str, Any]], held_out: Change | None) -> list[str]:
+    """Say what can be said where nothing is known to be true: frames, held-out loss, and SLAM's own evidence."""
+    last, sentences = loops[-1], []
+    frames = sum_pose(last, "frames")
+    if frames:
+        sentences.append(
+            f"SLAM with the refined network found a pose for {frames_text(last, list(last['pose']))} frames."
+        )
+    if held_out is not None:
+        verb = {"better": "lowered", "worse": "raised", "same": "hardly changed"}[held_out.verdict]
+        sentences.append(
+            f"The refinement {verb} its loss on keyframes that it did not learn from, which needs no labels, from "
+            f"{number(held_out.before)} to {number(held_out.after)} ({percent(held_out.relative)})."
+        )
+    criterion = last.get("criterion") or {}
+    changes = [
+        f"{name} {number(pair['before'])} → {number(pair['now'])}"
+        for key, name in (
+            ("photometric", "photometric error"),
+            ("disagreement", "disagreement with triangulated depth"),
+        )
+        if isinstance(pair := criterion.get(key), dict) and None not in (pair.get("before"), pair.get("now"))
+    ]
+    if changes:
+        verdict = "better" if criterion.get("better") else "no better"
+        sentences.append(f"By what SLAM makes of it the refined network is {verdict} ({', '.join(changes)}).")
+    return sentences
 
 
 def _depth_error(loop: dict[str, Any]) -> list[str]:

@@ -3,7 +3,7 @@ import copy
 import pytest
 
 from prgbd.core.files import read_json
-from prgbd.report.words import describe, number, pose_change
+from prgbd.report.words import describe, held_out_change, number, pose_change
 
 
 @pytest.fixture
@@ -118,3 +118,23 @@ def test_the_pose_error_is_that_of_the_test_recordings_where_there_are_some(summ
     assert change.after == 2 * summary["loops"][-1]["pose"]["street-a"]["ate_rmse"]
     assert change.basis.endswith(", test sequence street-b")
     assert not any("not in the mean" in sentence for sentence in describe(summary))
+
+
+def test_without_truth_the_held_out_loss_and_slam_s_evidence_are_told(summary):
+    for loop in summary["loops"]:
+        loop["depth"] = None
+        loop["pose"] = {
+            n: p | {"ate_rmse": None, "reason": "There is no ground truth."} for n, p in loop["pose"].items()
+        }
+    evidence = {"photometric": {"before": 0.08, "now": 0.07}, "disagreement": {"before": 0.3, "now": None}}
+    summary["loops"][-1]["criterion"] = {"better": True, **evidence}
+    text = describe(summary)
+    assert text[0] == "SLAM with the refined network found a pose for 150/150 frames."
+    training = summary["loops"][1]["training"]
+    before, after = number(training["held_out_before"]), number(training["held_out_after"])
+    assert text[1].startswith("The refinement lowered its loss on keyframes that it did not learn from")
+    assert f"from {before} to {after} (−22%)" in text[1]
+    assert text[2] == ("By what SLAM makes of it the refined network is better (photometric error 0.0800 → 0.0700).")
+    assert any("There is no ground truth." in sentence for sentence in text[3:])
+    summary["loops"] = summary["loops"][:1]
+    assert held_out_change(summary) is None
