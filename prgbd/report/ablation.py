@@ -70,8 +70,12 @@ def ablation_tables(folder: Path | str) -> list[Table]:
     if not paths:
         raise DataError(f"There is no run below {folder}; name the folder of a finished run or of a multirun.")
     table = runs_table(paths, "Ablation")
-    further = (means_over_recordings(table), paired_differences(table))
-    return [table, *(extra for extra in further if extra is not None)]
+    means = means_over_recordings(table)
+    if means is None:
+        return [table]
+    differences = paired_differences(table)
+    table.columns = [Column(column.title) for column in table.columns]  # a recording is not better than another
+    return [table, means] if differences is None else [table, means, differences]
 
 
 def runs_table(paths: list[Path], title: str) -> Table:

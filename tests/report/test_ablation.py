@@ -89,6 +89,21 @@ def test_rows_are_compared_on_the_recordings_that_they_share():
     assert paired_differences(table) is None
 
 
+def test_recordings_do_not_compete_for_the_best_figure(tmp_path):
+    errors = {"a": (0.1, 0.2), "b": (0.3, 0.4)}
+    for world, pair in errors.items():
+        for loss, error in zip(("all", "no_photometric"), pair, strict=True):
+            run = make_run(tmp_path / f"{world}{loss}", depth_errors=(0.5, error))
+            override(run, f"data.sequences=[{world}]", f"loss={loss}")
+    runs, means, differences = ablation_tables(tmp_path)
+    assert all(runs.best(i) is None for i in range(len(runs.columns)))
+    column = [c.title for c in means.columns].index("Abs Rel")
+    assert means.best(column) == means.rows[0][column]
+    difference = differences.rows[0][[c.title for c in differences.columns].index("Abs Rel")]
+    assert difference.startswith("+")
+    assert difference.endswith("worse on 2 of 2")
+
+
 def test_the_paper_s_loops_stand_below_runs_on_its_test_recordings(tmp_path):
     for seed in range(2):
         data = {"data": "kitti_odometry", "test_sequences": ["09", "10"]}
