@@ -139,7 +139,8 @@ def describe(summary: dict[str, Any]) -> list[str]:
         sentences += _better_loop(loops, judged_sequences(summary))
     if pose is None:
         sentences += _missing_pose(loops)
-    return sentences + _depth_error(loops[-1]) + _stop(summary)
+    sentences += _depth_error(loops[-1]) + _stop(summary)
+    return sentences or ["The depth was predicted; there is no ground truth to measure it against."]
 
 
 def _without_truth(loops: list[dict[str, Any]], held_out: Change | None) -> list[str]:
@@ -202,7 +203,8 @@ def _one_loop(loop: dict[str, Any], pose: Change | None, depth: Change | None) -
     sentences = []
     frames, tracked = sum_pose(loop, "frames"), sum_pose(loop, "tracked_frames")
     if frames:
-        sentences.append(f"SLAM found a pose for {tracked or 0} of {frames} frames.")
+        subject = "The trajectory has" if loop.get("name") == "trajectory" else "SLAM found"
+        sentences.append(f"{subject} a pose for {tracked or 0} of {frames} frames.")
     if pose:
         sentences.append(f"The pose error is {number(pose.after)} m ({pose.basis}).")
     if depth:

@@ -289,3 +289,21 @@ def test_pretraining_leaves_weights_that_the_loop_can_start_from(run, cli):
     assert answer.code == 0, answer.err
     refused = cli("depth=test/tiny", "data=test/wall", "task=pretrain", "out=refused")
     assert "pose network" in refused.sentence
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("task=depth", "depth=test/tiny"), "there is no ground truth to measure it against"),
+        (("task=pretrain", "depth=test/pose", "pretraining.epochs=1", "pretraining.batch_size=2"), "Pre-training"),
+        (("task=slam", "slam=test/sideways", "slam.mode=mono"), "There is no ground truth"),
+    ],
+)
+def test_every_task_reports_on_images_without_truth(cli, tmp_path, real_report, arguments, words):
+    noise = np.random.default_rng(0).integers(0, 256, (8, 64, 96, 3), np.uint8)
+    (tmp_path / "images").mkdir()
+    for i, image in enumerate(noise):
+        cv2.imwrite(f"images/{i:03d}.png", image)
+    answer = cli("data=images", "data.root=images", "data.fov=70", "out=run", *arguments)
+    assert answer.code == 0, answer.err
+    assert words in Path("run/report.html").read_text()

@@ -240,3 +240,13 @@ def test_baselines_and_test_sequences_stand_apart(tmp_path):
     page = Page(write_report(run).read_text())
     assert any("RGB SLAM" in words for words in page.words)
     assert page.counts["canvas"] == 2
+
+
+def test_depth_alone_without_truth_has_a_page(tmp_path):
+    run = make_run(tmp_path / "run", pose_errors=(1.0,), truth=False, task="depth")
+    summary = read_json(run / "summary.json")
+    summary["loops"][0] |= {"pose": {}, "depth": None}
+    write_json(run / "summary.json", summary | {"stop": None})
+    text = Page(write_report(run).read_text()).text
+    assert "there is no ground truth" in text
+    assert "pRGBD-Initial" in text  # the depth maps are shown

@@ -138,3 +138,12 @@ def test_without_truth_the_held_out_loss_and_slam_s_evidence_are_told(summary):
     assert any("There is no ground truth." in sentence for sentence in text[3:])
     summary["loops"] = summary["loops"][:1]
     assert held_out_change(summary) is None
+
+
+def test_a_run_that_measured_nothing_still_has_a_sentence(summary):
+    loop = {"loop": 0, "name": "depth", "pose": {}, "depth": None, "training": None}
+    assert describe({"task": "depth", "loops": [loop]}) == [
+        "The depth was predicted; there is no ground truth to measure it against."
+    ]
+    only(summary, 0)["loops"][0]["name"] = "trajectory"
+    assert describe(summary)[0] == "The trajectory has a pose for 147 of 150 frames."
