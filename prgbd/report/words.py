@@ -125,6 +125,8 @@ def describe(summary: dict[str, Any]) -> list[str]:
     pose, depth = pose_change(summary), depth_change(summary)
     loops = kept_loops(summary)
     sentences = []
+    if summary.get("task") == "pretrain":
+        sentences += _pretraining(loops[0])
     if len(loops) == 1:
         sentences += _one_loop(loops[0], pose, depth)
     else:
@@ -141,6 +143,19 @@ def describe(summary: dict[str, Any]) -> list[str]:
         sentences += _missing_pose(loops)
     sentences += _depth_error(loops[-1]) + _stop(summary)
     return sentences or ["The depth was predicted; there is no ground truth to measure it against."]
+
+
+def _pretraining(loop: dict[str, Any]) -> list[str]:
+    training = loop.get("training") or {}
+    before, after = training.get("held_out_before"), training.get("held_out_after")
+    if before is None or after is None:
+        return []
+    change = Change(float(before), float(after), "")
+    verb = {"better": "lowered", "worse": "raised", "same": "hardly changed"}[change.verdict]
+    return [
+        f"Pre-training {verb} the loss on images that it did not learn from, which needs no labels, from "
+        f"{number(before)} to {number(after)} ({percent(change.relative)}; {training.get('steps')} steps)."
+    ]
 
 
 def _without_truth(loops: list[dict[str, Any]], held_out: Change | None) -> list[str]:
