@@ -147,8 +147,8 @@ def test_a_run_that_measured_nothing_still_has_a_sentence(summary):
     ]
     training = {"held_out_before": 0.2, "held_out_after": 0.1, "steps": 40}
     assert describe({"task": "pretrain", "loops": [loop | {"training": training}]}) == [
-        "Pre-training lowered the loss on images that it did not learn from, which needs no labels, from 0.200 to 0.100 "
-        "(−50%; 40 steps)."
+        "Pre-training lowered the loss on images that it did not learn from, which needs no labels, "
+        "from 0.200 to 0.100 (−50%; 40 steps)."
     ]
     only(summary, 0)["loops"][0]["name"] = "trajectory"
     assert describe(summary)[0] == "The trajectory has a pose for 147 of 150 frames."
