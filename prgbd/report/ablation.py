@@ -67,8 +67,11 @@ def ablation_tables(folder: Path | str) -> list[Table]:
         DataError: If there is no run below the folder.
     """
     paths = find_runs(folder)
+    if not paths and (Path(folder) / "config.yaml").is_file():
+        raise DataError(f"The run in {folder} has no figures yet; go on with it: python -m prgbd resume={folder}")
     if not paths:
-        raise DataError(f"There is no run below {folder}; name the folder of a finished run or of a multirun.")
+        what = "There is no run below" if Path(folder).is_dir() else "There is no folder"
+        raise DataError(f"{what} {folder}; name the folder of a finished run or of a multirun.")
     table = runs_table(paths, "Ablation")
     means = means_over_recordings(table)
     if means is None:

@@ -168,3 +168,8 @@ def test_runs_are_found_below_and_in_natural_order(tmp_path):
 def test_a_folder_without_runs_is_a_data_error(tmp_path):
     with pytest.raises(DataError, match="no run below"):
         join(tmp_path)
+    with pytest.raises(DataError, match="There is no folder"):
+        join(tmp_path / "nowhere")
+    (tmp_path / "config.yaml").write_text("seed: 0\n")
+    with pytest.raises(DataError, match="no figures yet; go on with it: python -m prgbd resume="):
+        join(tmp_path)
