@@ -213,7 +213,11 @@ def _fits(value: Any) -> bool:
 
 
 def _text(value: Any) -> Cell:
-    return " ".join(f"{v:g}" for v in value) if isinstance(value, list | tuple) else value
+    if not isinstance(value, list | tuple):
+        return value
+    if any(isinstance(v, str) for v in value):  # sentences, such as what speaks against a trajectory
+        return "; ".join(map(str, value))
+    return " ".join(f"{v:g}" for v in value)
 
 
 def write_metrics_csv(summary: dict[str, Any], path: Path | str) -> None:

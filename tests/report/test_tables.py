@@ -101,6 +101,7 @@ def test_an_empty_summary_prints():
 
 def test_metrics_csv_holds_every_figure_in_full(run_folder, tmp_path):
     summary = read_json(run_folder / "summary.json")
+    summary["loops"][1]["pose"]["street-a"]["doubts"] = ["the camera jumps", "keypoints are off"]
     write_metrics_csv(summary, tmp_path / "metrics.csv")
     with open(tmp_path / "metrics.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -112,3 +113,4 @@ def test_metrics_csv_holds_every_figure_in_full(run_folder, tmp_path):
     assert found["0", "depth", "", "cap"] == "0.001 80"
     assert found["0", "sensing", "street-a", "baseline"] == "0.54"
     assert ("0", "depth", "", "by_cap") not in found
+    assert found["1", "pose", "street-a", "doubts"] == "the camera jumps; keypoints are off"
