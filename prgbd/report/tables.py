@@ -41,6 +41,7 @@ DEPTH_TITLES = {
     "a2": "δ<1.25²",
     "a3": "δ<1.25³",
 }
+EIGEN_IMAGES = 697  # test images of the Eigen split
 HIGHER_IS_BETTER = {"a1", "a2", "a3"}
 
 
@@ -168,7 +169,10 @@ def depth_table(summary: dict[str, Any]) -> Table:
     published = published_depth(summary) if table.rows else None
     if published:
         table.rows += [[f"{n} (paper)", *values, None, None, None] for n, values in published[1].items()]
-        table.note += f" Paper: {published[0]}, 80 m cap; another set of images, so compare the trend."
+        same = all((loop.get("depth") or {}).get("images") in (None, EIGEN_IMAGES) for loop in summary["loops"])
+        alike = same and summary.get("data") == "kitti_raw"
+        other = "as many as here" if alike else "another set of images, so compare the trend"
+        table.note += f" Paper: {published[0]}, 80 m cap; {other}."
     return table.without_empty_columns()
 
 

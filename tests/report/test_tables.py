@@ -74,6 +74,10 @@ def test_the_paper_stands_beside_its_own_sequences_only(run_folder):
     rows = {row[0]: row for row in pose_table(summary).rows}
     assert rows["09, pRGBD-Refined (paper)"][2] == 11.97
     assert any(row[0] == "pRGBD-Refined (paper)" and row[1] == 0.121 for row in depth_table(summary).rows)
+    assert "another set of images" in depth_table(summary).note
+    for loop in summary["loops"]:
+        loop["depth"]["images"] = 697
+    assert "as many as here" in depth_table(summary | {"data": "kitti_raw"}).note
     assert published_pose("tum_rgbd", "rgbd_dataset_freiburg3_walking_xyz")["RGB ORB-SLAM"][0] is None
     assert published_depth({"data": "kitti_odometry", "sequences": ["00"]}) is None
     assert published_ablation("loss=no_photometric") == (0.942, 4.855)
