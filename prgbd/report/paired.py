@@ -9,13 +9,20 @@ from prgbd.report.rendering import Cell, Column, Table
 from prgbd.report.words import number
 
 REFERENCE = "loss=all"
+_SAME = "0"
 
 
 def means_over_recordings(table: Table) -> Table | None:
-    """Return the means of the rows that differ in ``data.sequences`` alone; None if no rows do."""
+    """Return the means of the rows that differ in ``data.sequences`` alone; None if no rows do.
+
+    Only recordings that every label has count, if there are any: means over different recordings do not compare.
+    """
     groups = _by_recording(table)
     if groups is None:
         return None
+    shared = set.intersection(*({world for world, _ in rows} for rows in groups.values()))
+    if shared:
+        groups = {label: [pair for pair in rows if pair[0] in shared] for label, rows in groups.items()}
     out = Table(f"{table.title}, means over recordings", [table.columns[0], Column("runs"), *table.columns[1:]])
     for label, rows in groups.items():
         cells: list[Cell] = []
@@ -23,7 +30,8 @@ def means_over_recordings(table: Table) -> Table | None:
             numbers = [float(v) for v in values if isinstance(v, int | float)]
             cells.append(sum(numbers) / len(numbers) if len(numbers) == len(values) else None)
         out.rows.append([label, len(rows), *cells])
-    out.note = "Means over the runs of a row; a figure that one of them lacks is left out."
+    which = "recordings that all rows have" if shared else "runs of a row, which are not the same recordings"
+    out.note = f"Means over the {which}; a figure that one of them lacks is left out."
     return out.without_empty_columns()
 
 
@@ -52,6 +60,11 @@ def paired_differences(table: Table) -> Table | None:
             out.rows.append([label, *(_difference(pairs, i, table.columns[i].best) for i in judged)])
     if not out.rows:
         return None
+    for i in reversed(range(1, len(out.columns))):
+        if all(row[i] == _SAME for row in out.rows):  # loop 0 of every loss, for one
+            del out.columns[i]
+            for row in out.rows:
+                del row[i]
     out.note = "Mean of the differences ± its standard error over the recordings, and on how many the row is worse."
     return out.without_empty_columns()
 
@@ -60,6 +73,8 @@ def _by_recording(table: Table) -> dict[str, list[tuple[str, list[Cell]]]] | Non
     """Group rows by their label without ``data.sequences``: label -> recordings with their rows."""
     groups: dict[str, list[tuple[str, list[Cell]]]] = {}
     for row in table.rows[: table.contenders]:
+        if row[1] is None:  # a run that did not finish has nothing to average, and no number of loops
+            continue
         parts = re.split(r", (?=[\w.+]+=)", str(row[0]))
         kept = [part for part in parts if not part.startswith("data.sequences=")]
         world = ", ".join(part for part in parts if part.startswith("data.sequences="))
@@ -80,7 +95,7 @@ def _difference(pairs: list[tuple[list[Cell], list[Cell]]], column: int, best: s
         return None
     mean = math.fsum(differences) / count
     if not any(differences):
-        return "0"
+        return _SAME
     error = math.sqrt(math.fsum((d - mean) ** 2 for d in differences) / (count - 1) / count)
     worse = sum(d > 0 if best == "min" else d < 0 for d in differences)
     return f"{'+' if mean >= 0 else '−'}{number(abs(mean))} ± {number(error)}, worse on {worse} of {count}"

@@ -65,13 +65,31 @@ def test_rows_that_differ_in_the_recording_alone_are_averaged():
     assert [c.title for c in means.columns] == ["run", "runs", "Abs Rel", "Sq Rel"]
     assert means.rows[0] == ["loss=all", 2, pytest.approx(0.15), None]
     assert means.rows[1] == ["loss=no_photometric", 2, pytest.approx(0.45), 2.0]
-    table.rows = table.rows[:2]
+    assert "recordings that all rows have" in means.note
+    table.rows.append(["data.sequences=[d], loss=all", 9.0, 9.0])  # no_photometric did not finish there
+    assert means_over_recordings(table).rows[0] == means.rows[0]
+    table.rows = [table.rows[0], table.rows[2], table.rows[4]]
+    assert means_over_recordings(table).rows[0][:2] == ["loss=all", 3]
+    table.rows.append(["data.sequences=[e], loss=all", None, None])
+    assert means_over_recordings(table).rows[0][1] == 3
+    table.rows = table.rows[:1]
     assert means_over_recordings(table) is None
+
+
+def test_rows_without_a_common_recording_say_so():
+    table = Table("Ablation", [Column("run"), Column("Abs Rel", "min")])
+    for world, loss in (("a", "all"), ("b", "all"), ("c", "no_photometric")):
+        table.rows.append([f"data.sequences=[{world}], loss={loss}", 0.1])
+    means = means_over_recordings(table)
+    assert [row[1] for row in means.rows] == [2, 1]
+    assert "not the same recordings" in means.note
+    assert paired_differences(table) is None
 
 
 def test_rows_are_compared_on_the_recordings_that_they_share():
     """The worlds differ by more than the rows do, yet the row without the term is worse on each of them."""
-    table = Table("Ablation", [Column("run"), Column("loops"), Column("Abs Rel", "min"), Column("a1", "max")])
+    titles = [Column("run"), Column("Abs Rel first", "min"), Column("Abs Rel", "min"), Column("a1", "max")]
+    table = Table("Ablation", titles)
     worlds = {"a": (0.10, 0.12, 0.9, 0.8), "b": (0.20, 0.23, 0.7, 0.8), "c": (0.40, 0.44, 0.5, 0.6)}
     for world, (error, without, a1, a1_without) in worlds.items():
         table.rows.append([f"loss=no_photometric, data.sequences=[{world}]", 1, without, a1_without])
