@@ -10,6 +10,7 @@ from prgbd.core.planar_scene import planar_scene
 from prgbd.core.slam import TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
+from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
 from tests.contracts import SlamContract
 from tests.plugins.slam.walls import CAMERA, error, path, pose, view
 
@@ -149,6 +150,30 @@ def test_a_sequence_without_anything_to_see_has_an_empty_result() -> None:
     assert (result.tracked_frames, len(result.keyframes), len(result.points)) == (0, 0, 0)
     assert result.states == ["not_initialized"] * 3
     assert run([]).frames == 0
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_outliers_go_along_into_keyframes_only_if_they_may(frames, kept: bool, monkeypatch) -> None:
+    refuted = []
+    add_keyframe = LocalMapper.add_keyframe
+
+    def watched(mapper, index, timestamp, cTw, features, points):
+        rows = np.flatnonzero((points >= 0) & (features.depth > 0) & (features.octave <= 1))
+        seen = mapper.world.points.xyz[points[rows]] @ cTw[2, :3] + cTw[2, 3]
+        refuted.append(int(np.count_nonzero(np.abs(seen - features.depth[rows]) > 0.5 * seen)))
+        return add_keyframe(mapper, index, timestamp, cTw, features, points)
+
+    monkeypatch.setattr(LocalMapper, "add_keyframe", watched)
+    wrong = []
+    for frame in frames[:12]:
+        depth = frame.depth.copy()
+        depth[80:160, 100:200] *= 3.0 if frame.index % 3 == 2 else 1.0
+        wrong.append(frame.with_depth(depth))
+    # Wide windows and no gate let wrong depths become matches, as a depth camera that turns fast does.
+    result = run(wrong, keyframe_outliers=kept, stereo_gate=False, keyframe_ratio=2.0, keyframe_ratio_first=2.0)
+    assert result.tracked_frames == 12
+    assert len(refuted) > 6
+    assert (max(refuted) > 10) == kept
 
 
 def test_unknown_depth_is_survived(frames) -> None:

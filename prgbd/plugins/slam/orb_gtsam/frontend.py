@@ -134,7 +134,9 @@ class FrontEnd:
         self.depth_agreements[-1] = depth_agreement(self.world, self.rig, frame)
         keyframe = self._wants_keyframe(frame, inliers)
         if keyframe:
-            # Outliers go along: bundle adjustment, not one frame, decides about them.
+            # If outliers go along, bundle adjustment, not one frame, decides about them.
+            if not self.settings.keyframe_outliers:
+                frame.drop_outliers()
             k = self.backend.mapper.add_keyframe(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
             tracker.reference, self._last_keyframe = k, frame.ordinal
             self._outliers = (k, frame.outlier.copy())

@@ -61,6 +61,8 @@ class Settings:
         keyframe_close_untracked: ... and more than this many could be created.
         keyframe_min_interval: Fewest frames between two keyframes, unless tracking is weak or close points are needed.
         keyframe_points: At least this many of the closest points are created with a keyframe.
+        keyframe_outliers: Whether matches that a frame's pose refutes go along into its keyframe, for bundle adjustment
+            to decide about them (ORB-SLAM2). Mono and pseudo depth need them; with a sensor's depth false was better.
         neighbours: Covisible keyframes for triangulation and fusion (mono: ``neighbours_mono``).
         neighbours_mono: The same for mono.
         covisible_weight: Common points that make two keyframes neighbours.
@@ -144,6 +146,7 @@ class Settings:
     keyframe_close_untracked: int = 70
     keyframe_min_interval: int = 0
     keyframe_points: int = 100
+    keyframe_outliers: bool = True
     neighbours: int = 10
     neighbours_mono: int = 20
     covisible_weight: int = 15
