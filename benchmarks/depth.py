@@ -150,7 +150,7 @@ def network_alone(chosen: argparse.Namespace, network: DepthEstimator, sequence:
         size = DepthSensor.automatic_batch_size(way, device)
 
         def work() -> Any:
-            with way.applied(network, device, print):
+            with network.finest_scale(), way.applied(network, device, print):
                 batches = [network(way.arranged(batch)).depth[:, 0] for batch in images.split(size)]
             return torch.cat(batches).float().cpu().numpy()
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,13 @@ class DepthEstimator(nn.Module, ABC):
         input_size: (height, width) of the images that ``forward`` works best on, pixels.
         depth_range: (nearest, farthest) depth that the network can express.
         metric: True if depth is in metres, False if it is up to an unknown scale.
+        only_finest: True within ``finest_scale``; ``forward`` may then return the finest depth alone.
     """
 
     input_size: tuple[int, int]
     depth_range: tuple[float, float]
     metric: bool = False
+    only_finest: bool = False
     weights_file: str = "model.pth"
 
     @abstractmethod
@@ -45,6 +48,20 @@ class DepthEstimator(nn.Module, ABC):
         Returns:
             Depth maps finest first, each (B, 1, H_s, W_s), positive and differentiable.
         """
+
+    @contextlib.contextmanager
+    def finest_scale(self) -> Iterator[None]:
+        """Ask for nothing but the finest depth within the block, as where depth is predicted and not trained.
+
+        A network of several scales may look at ``only_finest`` in ``forward`` and leave out what the finest depth does
+        not need; that depth must stay the same. One that does not look returns all of its scales as always.
+        """
+        before = self.only_finest
+        self.only_finest = True
+        try:
+            yield
+        finally:
+            self.only_finest = before
 
     def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
         """Resize an (H, W, 3) uint8 RGB image to ``input_size``: (3, h, w) float32 in [0, 1] on the CPU.
@@ -72,7 +89,7 @@ class DepthEstimator(nn.Module, ABC):
         was_training = self.training
         self.eval()
         try:
-            with torch.inference_mode():
+            with torch.inference_mode(), self.finest_scale():
                 device = next((p.device for p in self.parameters()), torch.device("cpu"))
                 depth = self(self.preprocess(image)[None].to(device)).depth[0, 0].float().cpu().numpy()
         finally:

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,12 @@ class DepthWrapper(DepthEstimator):
         """See ``DepthEstimator.forward``."""
         prediction: DepthPrediction = self.estimator(images)
         return prediction
+
+    @contextlib.contextmanager
+    def finest_scale(self) -> Iterator[None]:
+        """See ``DepthEstimator.finest_scale``."""
+        with super().finest_scale(), self.estimator.finest_scale():
+            yield
 
     def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
         """See ``DepthEstimator.preprocess``."""

@@ -195,6 +195,7 @@ class DepthSensor:
         self.estimator.eval()
         try:
             with (
+                self.estimator.finest_scale(),
                 self._computing.applied(self.estimator, self._device, self._monitor.say),
                 contextlib.closing(self._decoded()) as batches,
             ):

@@ -260,7 +260,7 @@ def network_scale(estimator: DepthEstimator, source: SupervisedImages) -> float:
     ratios = []
     was_training = estimator.training
     estimator.eval()
-    with torch.inference_mode():
+    with torch.inference_mode(), estimator.finest_scale():
         for index in chosen:
             sample = source.sample(int(index))
             depth = estimator(sample.images[:1].to(device).float() / 255).depth.float().cpu()

@@ -142,3 +142,15 @@ def test_an_error_of_the_network_is_not_taken_for_one_of_the_compiler(monkeypatc
     with pytest.raises(RuntimeError), compiled(network, said.append):
         network(torch.rand(1, 5, 8, 8))
     assert said == []
+
+
+def test_a_network_compiled_before_and_within_finest_scale_gives_what_is_asked_for(monkeypatch, network, images):
+    compile_with(monkeypatch, "eager")
+    said = []
+    with Computing(compile=True).applied(network, CPU, said.append):
+        plain = network(images)
+        with network.finest_scale():
+            finest = network(images)
+        assert torch.equal(finest.depth, plain.depth)
+        assert [len(p.depths) for p in (plain, finest, network(images))] == [4, 1, 4]
+    assert said == []

@@ -143,3 +143,40 @@ def test_what_cannot_work_is_refused_in_one_sentence(wrappers, match) -> None:
 
 def test_all_are_there() -> None:
     assert set(WRAPPERS) == {"flip_averaged", "scaled", "median_scaled", "clipped", "cached"}
+
+
+class TwoScales(Constant):
+    """Leaves out its coarse scale where only the finest is asked for; notes how often it did."""
+
+    alone = 0
+
+    def forward(self, images):
+        depth = super().forward(images).depth
+        if self.only_finest:
+            self.alone += 1
+            return DepthPrediction((depth,))
+        return DepthPrediction((depth, depth[..., ::2, ::2]))
+
+
+@pytest.mark.parametrize("wrappers", [[], ["flip_averaged", {"clipped": {"farthest": 7.0}}, "cached"]], ids=str)
+def test_only_the_finest_scale_is_asked_for_within_the_block(wrappers, images) -> None:
+    inner = TwoScales()
+    network = wrap(inner, wrappers).eval()
+    plain = network(images)
+    with pytest.raises(ZeroDivisionError), network.finest_scale():
+        with network.finest_scale():
+            pass
+        assert len(network(images).depths) == 1  # leaving the inner block did not end the outer one
+        assert torch.equal(network(images).depth, plain.depth)
+        raise ZeroDivisionError
+    assert len(network(images).depths) == len(plain.depths) == 2
+    inner.alone = 0
+    network.predict(np.zeros((40, 70, 3), np.uint8))
+    assert inner.alone == 1
+
+
+def test_a_network_that_does_not_look_returns_all_as_always(images) -> None:
+    network = LeftRight()
+    plain = network(images)
+    with network.finest_scale():
+        assert torch.equal(network(images).depth, plain.depth)

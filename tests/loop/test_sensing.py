@@ -206,3 +206,17 @@ def test_an_image_that_cannot_be_read_is_told_as_ever(tmp_path):
     with pytest.raises(DataError, match="frame 3 is torn"):
         make(Tiny(), tmp_path, Torn(frames=5)).prepare()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_network_is_asked_for_its_finest_scale_alone(tmp_path):
+    class Asked(Tiny):
+        asked = ()
+
+        def forward(self, images):
+            self.asked += (self.only_finest,)
+            return super().forward(images)
+
+    network = Asked()
+    make(network, tmp_path).prepare()
+    assert set(network.asked) == {True}
+    assert not network.only_finest

@@ -90,14 +90,14 @@ class Decoder(nn.Module):
         layers += [Head(channels) for channels in DECODER[: -SCALES - 1 : -1]]
         self.decoder = nn.ModuleList(layers)
 
-    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Decode the feature to disparities, finest first: (B, 1, H / 2**s, W / 2**s) for s = 0..2."""
+    def forward(self, x: Tensor, scales: int = SCALES) -> tuple[Tensor, ...]:
+        """Decode the feature to disparities at the finest ``scales``: (B, 1, H / 2**s, W / 2**s) for s = 0, 1, ..."""
         disparities: list[Tensor] = []
         for step in range(4):
             x = self.decoder[2 * step](x)
             x = self.decoder[2 * step + 1](F.interpolate(x, scale_factor=2.0, mode="nearest"))
             scale = 3 - step
-            if scale < SCALES:
+            if scale < scales:
                 disparities.append(self.decoder[8 + scale](x))
         return tuple(reversed(disparities))
 
@@ -153,8 +153,12 @@ class RTMonoDepth(DepthEstimator):
             )
 
     def forward(self, images: Tensor) -> DepthPrediction:
-        """Predict depth and disparity at 3 scales for (B, 3, H, W) RGB in [0, 1]; H and W are multiples of 16."""
-        disparities = self.depth(self.encoder(images))
+        """Predict depth and disparity at 3 scales, or at the finest one within ``finest_scale``.
+
+        Args:
+            images: (B, 3, H, W) RGB in [0, 1]; H and W are multiples of 16.
+        """
+        disparities = self.depth(self.encoder(images), 1 if self.only_finest else SCALES)
         farthest, nearest = 1 / self.depth_range[1], 1 / self.depth_range[0]
         depths = tuple(1 / (farthest + (nearest - farthest) * disparity) for disparity in disparities)
         return DepthPrediction(depths, disparities)

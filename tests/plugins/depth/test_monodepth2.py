@@ -235,3 +235,14 @@ def test_wrong_options_are_one_sentence(options):
 
 def test_is_registered():
     assert type(prgbd.make_depth("monodepth2", **SMALL)).__name__ == "Monodepth2"
+
+
+def test_within_finest_scale_the_finest_depth_is_the_same_and_alone(network, images):
+    with torch.inference_mode():
+        plain = network(images[0])
+        with network.finest_scale():
+            finest = network(images[0])
+        assert torch.equal(finest.depth, plain.depth)
+        assert torch.equal(finest.disparities[0], plain.disparities[0])
+        assert (len(finest.depths), len(finest.disparities)) == (1, 1)
+        assert len(network(images[0]).depths) == len(plain.depths) == 4

@@ -61,3 +61,14 @@ def test_weights_of_another_network_are_refused(tmp_path):
 def test_wrong_options_are_one_sentence(options):
     with pytest.raises(ConfigError, match=r"depth\."):
         RTMonoDepth(**options)
+
+
+def test_within_finest_scale_the_finest_depth_is_the_same_and_alone():
+    network = RTMonoDepth(**SMALL).eval()
+    images = torch.rand((1, 3, 64, 96), generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        plain = network(images)
+        with network.finest_scale():
+            finest = network(images)
+        assert torch.equal(finest.depth, plain.depth)
+        assert (len(finest.depths), len(network(images).depths)) == (1, 3)

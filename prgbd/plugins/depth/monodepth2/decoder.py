@@ -56,11 +56,15 @@ class DepthDecoder(nn.Module):
         layers += [Conv3x3(CHANNELS[scale], 1) for scale in range(SCALES)]
         self.decoder = nn.ModuleList(layers)
 
-    def forward(self, features: list[Tensor]) -> tuple[Tensor, ...]:
+    def forward(self, features: list[Tensor], scales: int = SCALES) -> tuple[Tensor, ...]:
         """Decode the features of ``ResnetEncoder``.
 
+        Args:
+            features: Its output.
+            scales: How many disparities to compute, counted from the finest.
+
         Returns:
-            Disparities in (0, 1), float32, finest first: (B, 1, H / 2**s, W / 2**s) for s = 0..3.
+            Disparities in (0, 1), float32, finest first: (B, 1, H / 2**s, W / 2**s) for s = 0, 1, ...
         """
         x = features[-1]
         disparities: list[Tensor] = []
@@ -70,7 +74,7 @@ class DepthDecoder(nn.Module):
             if step > 0:
                 x = torch.cat([x, features[step - 1]], dim=1)
             x = self.decoder[2 * (4 - step) + 1](x)
-            if step < SCALES:
+            if step < scales:
                 # A disparity in half precision has too few digits far away, whatever the layers below compute in.
                 with torch.autocast(x.device.type, enabled=False):
                     disparities.append(torch.sigmoid(self.decoder[10 + step](x.float())))

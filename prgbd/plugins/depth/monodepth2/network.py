@@ -12,7 +12,7 @@ from prgbd.core.depth import DepthEstimator, read_state_dict
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.core.types import DepthPrediction
 from prgbd.plugins.depth.monodepth2 import weights as files
-from prgbd.plugins.depth.monodepth2.decoder import DepthDecoder, disparity_to_depth
+from prgbd.plugins.depth.monodepth2.decoder import SCALES, DepthDecoder, disparity_to_depth
 from prgbd.plugins.depth.monodepth2.encoder import ResnetEncoder
 from prgbd.plugins.depth.monodepth2.pose import PoseNetwork
 
@@ -73,7 +73,7 @@ class Monodepth2(DepthEstimator):
             )
 
     def forward(self, images: Tensor) -> DepthPrediction:
-        """Predict depth and disparity at 4 scales.
+        """Predict depth and disparity at 4 scales, or at the finest one within ``finest_scale``.
 
         The encoder halves the image five times. A side that is no multiple of 32 is continued by its mirror image,
         and that margin is cut off again at every scale, so that the camera of the image is the camera of the depth.
@@ -86,9 +86,10 @@ class Monodepth2(DepthEstimator):
         left, right = _margin(width)
         if top or bottom or left or right:
             images = F.pad(images, (left, right, top, bottom), mode="reflect")
+        scales = 1 if self.only_finest else SCALES
         disparities = tuple(
             disparity[..., top >> scale : (top + height) >> scale, left >> scale : (left + width) >> scale]
-            for scale, disparity in enumerate(self.depth(self.encoder(images)))
+            for scale, disparity in enumerate(self.depth(self.encoder(images), scales))
         )
         depths = tuple(disparity_to_depth(disparity, *self.depth_range) for disparity in disparities)
         return DepthPrediction(depths, disparities)
