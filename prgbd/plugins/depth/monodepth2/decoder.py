@@ -39,6 +39,29 @@ class ConvBlock(nn.Module):
         return F.elu(self.conv(x), inplace=True)
 
 
+class Head(Conv3x3):
+    """``Conv3x3`` to one channel.
+
+    Args:
+        channels: Of the input.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__(channels, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply to (B, C, H, W); the size stays, one channel remains."""
+        if torch.is_grad_enabled() or not x.is_contiguous(memory_format=torch.channels_last):
+            return super().forward(x)
+        # With the channels innermost one output channel takes as long as eight. Three of them, the columns of the
+        # kernel, need a third of the taps each; to shift and add them is cheap.
+        padded = F.pad(x, (1, 1, 1, 1), mode="reflect")
+        columns = F.conv2d(padded, self.conv.weight.permute(3, 1, 2, 0))
+        left, middle, right = columns.split(1, dim=1)
+        assert self.conv.bias is not None
+        return left[..., :-2] + middle[..., 1:-1] + right[..., 2:] + self.conv.bias
+
+
 class DepthDecoder(nn.Module):
     """Five steps of convolution, upsampling, skip connection and convolution, with a disparity head at the last four.
 
@@ -53,7 +76,7 @@ class DepthDecoder(nn.Module):
             below = ENCODER_CHANNELS[-1] if step == 4 else CHANNELS[step + 1]
             skip = ENCODER_CHANNELS[step - 1] if step > 0 else 0
             layers += [ConvBlock(below, CHANNELS[step]), ConvBlock(CHANNELS[step] + skip, CHANNELS[step])]
-        layers += [Conv3x3(CHANNELS[scale], 1) for scale in range(SCALES)]
+        layers += [Head(CHANNELS[scale]) for scale in range(SCALES)]
         self.decoder = nn.ModuleList(layers)
 
     def forward(self, features: list[Tensor], scales: int = SCALES) -> tuple[Tensor, ...]:
