@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,12 +62,19 @@ class Computing:
         """Return images (B, 3, H, W) in the chosen memory layout."""
         return images.contiguous(memory_format=torch.channels_last) if self.channels_last else images
 
+    def stacked(self, images: Sequence[Tensor]) -> Tensor:
+        """Stack images (3, H, W) to a batch in the chosen memory layout."""
+        if not self.channels_last:
+            return torch.stack(list(images))
+        # Images that are decoded have their channels innermost already: no element changes its place.
+        return torch.stack([image.permute(1, 2, 0) for image in images]).permute(0, 3, 1, 2)
+
     @contextlib.contextmanager
     def applied(self, network: nn.Module, device: torch.device, say: Callable[[str], None]) -> Iterator[None]:
         """Predict in this way within the block, without gradients.
 
         Args:
-            network: Is called as always, ``network(images)``, with images that ``arranged`` returned.
+            network: Is called as always, ``network(images)``, with images that ``arranged`` or ``stacked`` returned.
             device: Where the network lies.
             say: Takes a sentence if the network cannot be compiled.
         """

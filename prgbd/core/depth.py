@@ -73,7 +73,7 @@ class DepthEstimator(nn.Module, ABC):
         height, width = self.input_size
         if image.shape[:2] != (height, width):
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-        return torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1).float().div_(255.0)
+        return torch.from_numpy(np.divide(image, np.float32(255), dtype=np.float32)).permute(2, 0, 1)
 
     def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Predict depth at the image's own size, in evaluation mode and without gradients.

@@ -212,7 +212,7 @@ class DepthSensor:
             images = [self.sequence.frame(index).image for index in indices]
             if brings_predict:
                 return indices, images, None
-            return indices, images, torch.stack([self.estimator.preprocess(image) for image in images])
+            return indices, images, self._computing.stacked([self.estimator.preprocess(image) for image in images])
 
         count, size = len(self.sequence), self._batch_size
         if self._device.type == "cpu" and torch.get_num_threads() >= (os.cpu_count() or 1):

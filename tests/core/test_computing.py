@@ -57,6 +57,14 @@ def test_channels_last_changes_the_last_digits_at_most(network, images):
     assert torch.allclose(plain, other, rtol=1e-4)
 
 
+@pytest.mark.parametrize("last", [False, True])
+def test_images_are_stacked_in_the_chosen_layout(network, images, last):
+    computing = Computing(channels_last=last)
+    stacked = computing.stacked(list(images))
+    assert torch.equal(stacked, images)
+    assert stacked.stride() == computing.arranged(images).stride()
+
+
 def test_weights_have_the_channels_innermost_within_the_block_alone(network, images):
     conv = next(m for m in network.modules() if isinstance(m, torch.nn.Conv2d) and m.in_channels > 1)
     with Computing(channels_last=True).applied(network, CPU, print):
