@@ -14,7 +14,7 @@ import prgbd
 from prgbd.core.conformance import check_depth_estimator
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.plugins.depth.monodepth2 import Monodepth2
-from prgbd.plugins.depth.monodepth2.decoder import disparity_to_depth
+from prgbd.plugins.depth.monodepth2.decoder import Head, disparity_to_depth
 from prgbd.plugins.depth.monodepth2.pose import rigid_transform
 
 SMALL = {"height": 64, "width": 96}
@@ -235,6 +235,15 @@ def test_wrong_options_are_one_sentence(options):
 
 def test_is_registered():
     assert type(prgbd.make_depth("monodepth2", **SMALL)).__name__ == "Monodepth2"
+
+
+def test_a_head_is_the_same_whether_the_channels_are_innermost_or_not():
+    head = Head(16)
+    x = torch.randn(2, 16, 20, 30, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        by_columns = head(x.to(memory_format=torch.channels_last))
+        torch.testing.assert_close(by_columns, head(x), rtol=0, atol=1e-5)
+    assert head(x.to(memory_format=torch.channels_last)).requires_grad
 
 
 def test_within_finest_scale_the_finest_depth_is_the_same_and_alone(network, images):
