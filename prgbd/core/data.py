@@ -25,12 +25,14 @@ class Sequence(ABC):
         camera: The camera of the images that ``frame`` returns.
         timestamps: (N,) float64 seconds, strictly ascending.
         baseline: Metres between left and right camera for stereo recordings, else None.
+        concurrent: True if ``frame`` may be called by several threads at once, as where every frame is a file.
     """
 
     name: str
     camera: PinholeCamera
     timestamps: NDArray[np.float64]
     baseline: float | None = None
+    concurrent: bool = False
 
     @classmethod
     def available(cls, **options: Any) -> list[str | None]:

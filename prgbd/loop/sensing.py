@@ -207,15 +207,19 @@ class DepthSensor:
     def _decoded(self) -> Generator[Batch]:
         """Yield decoded batches; a thread of its own is ahead by a few where the network leaves a core to it."""
         brings_predict = type(self.estimator).predict is not DepthEstimator.predict
+        cores, threads = os.cpu_count() or 1, torch.get_num_threads()
+        takes_all = self._device.type == "cpu" and threads >= cores
+        # What the network leaves; where it leaves nothing, it waits, and all of its threads may decode.
+        free = threads if takes_all else cores - threads if self._device.type == "cpu" else cores
 
         def decode(indices: range) -> Batch:
-            images = [self.sequence.frame(index).image for index in indices]
+            images = self._images(indices, free)
             if brings_predict:
                 return indices, images, None
             return indices, images, self._computing.stacked([self.estimator.preprocess(image) for image in images])
 
         count, size = len(self.sequence), self._batch_size
-        if self._device.type == "cpu" and torch.get_num_threads() >= (os.cpu_count() or 1):
+        if takes_all:
             # A thread beside convolutions that take every core makes all of them wait for the one it sits on.
             for start in range(0, count, size):
                 yield decode(range(start, min(start + size, count)))
@@ -228,6 +232,14 @@ class DepthSensor:
                     yield ahead.popleft().result()
             while ahead:
                 yield ahead.popleft().result()
+
+    def _images(self, indices: range, threads: int) -> list[NDArray[np.uint8]]:
+        """Decode frames, by several threads where the recording allows it."""
+        threads = min(threads, len(indices))
+        if threads < 2 or not self.sequence.concurrent:
+            return [self.sequence.frame(index).image for index in indices]
+        with ThreadPoolExecutor(threads, "decode") as pool:
+            return [frame.image for frame in pool.map(self.sequence.frame, indices)]
 
     def _predict(
         self, indices: range, images: list[NDArray[np.uint8]], batch: torch.Tensor | None

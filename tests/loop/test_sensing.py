@@ -83,6 +83,30 @@ def test_frames_come_in_order_whether_a_thread_decodes_or_not(tmp_path, monkeypa
     assert decoded == [(index, threads == 64) for index in range(5)]
 
 
+@pytest.mark.parametrize("concurrent", [False, True])
+def test_several_threads_decode_only_where_the_recording_allows_it(tmp_path, monkeypatch, concurrent):
+    monkeypatch.setattr("prgbd.loop.sensing.torch.get_num_threads", lambda: 2)
+    monkeypatch.setattr("prgbd.loop.sensing.os.cpu_count", lambda: 2)
+    network = Tiny()
+    sensor, alone = (make(network, tmp_path / name, batch_size=4) for name in ("a", "b"))
+    sensor.sequence.concurrent = concurrent
+    frame, meeting, met = sensor.sequence.frame, threading.Barrier(2), []
+
+    def noted(index):
+        if concurrent and index < 4:
+            meeting.wait(10)  # nobody comes alone
+        met.append(threading.current_thread() is threading.main_thread())
+        return frame(index)
+
+    monkeypatch.setattr(sensor.sequence, "frame", noted)
+    sensor.prepare()
+    # Five frames in batches of four: the last one needs no thread.
+    assert sorted(met) == ([False] * 4 + [True] if concurrent else [True] * 5)
+    monkeypatch.undo()
+    for index in range(5):
+        np.testing.assert_array_equal(sensor.depth(index), alone.depth(index))
+
+
 def test_a_frame_is_predicted_once_and_again_only_for_other_weights_or_frames(tmp_path):
     network = Ramp()
     for _ in range(2):

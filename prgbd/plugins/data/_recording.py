@@ -71,6 +71,8 @@ class FileSequence(Sequence):
         DataError: If the time stamps do not ascend.
     """
 
+    concurrent = True
+
     def __init__(
         self, name: str, camera: PinholeCamera, files: Files, start: int = 0, stop: int | None = None, step: int = 1
     ) -> None:
