@@ -159,6 +159,7 @@ def loop_settings(config: Mapping[str, Any], baseline: float | None) -> LoopSett
             {"task": {"min_improvement": 0.0} | config["task"]}, "task.min_improvement", optional=True
         ),
         criterion=str(config["task"].get("criterion", "held_out")),
+        first_teacher=str(config["task"].get("first_teacher", "pseudo_rgbd")),
         patience=whole(number({"task": {"patience": 0} | config["task"]}, "task.patience"), "task.patience"),
         baseline=baseline,
         running_baseline=(config.get("slam") or {}).get("baseline") == "running",
@@ -217,7 +218,7 @@ def viewer_maker(config: Mapping[str, Any]) -> ViewerMaker | None:
 
 
 def baselines(config: Mapping[str, Any]) -> list[str]:
-    """Read which baselines ``task=self_improve`` runs beside the loop.
+    """Read which baselines ``task=self_improve`` runs beside the loop; one that teaches the network is among them.
 
     Raises:
         ConfigError: If one is unknown.
@@ -225,7 +226,8 @@ def baselines(config: Mapping[str, Any]) -> list[str]:
     value = config["task"].get("baselines") or []
     if not isinstance(value, list | tuple) or not set(value) <= set(BASELINES):
         raise ConfigError(f"task.baselines is {value!r}; give a list of {' and '.join(BASELINES)}, such as [mono].")
-    return [str(name) for name in dict.fromkeys(value)]
+    taught = ["mono"] if config["task"].get("first_teacher") == "mono" else []
+    return [str(name) for name in dict.fromkeys([*value, *taught])]
 
 
 def alignment(config: Mapping[str, Any]) -> str:

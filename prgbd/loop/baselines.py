@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from prgbd.core.data import Sequence
-from prgbd.core.export import write_slam_folder
+from prgbd.core.export import load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
+from prgbd.core.types import SlamResult
 from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
@@ -37,19 +38,48 @@ def run_baseline(
     Returns:
         An entry like those of the summary's ``loops``, with the ``folder`` of its results instead of a number.
     """
-    folder = f"baselines/{kind}"
-
-    def localise(sequence: Sequence) -> dict[str, Any]:
-        given = sensor_input(sequence, "mono", None)
-        result = run_slam(make_slam, sequence, given, seed=settings.seed, monitor=monitor)
-        with store.new_folder(store.path(folder, "slam", sequence.name)) as target:
-            write_slam_folder(result, target, settings.export, frame=sequence.frame)
-        return pose_figures(result, sequence, settings.alignment)
-
     monitor.say(f"Baseline: {NAMES[kind]}")
     pose: dict[str, Any] = {}
     for sequence in sequences:
-        step = f"{folder}/slam/{sequence.name}"
-        pose[sequence.name] = store.step(step, lambda chosen=sequence: localise(chosen))  # type: ignore[misc]
+        pose[sequence.name] = localise(kind, make_slam, sequence, settings, store, monitor)
         monitor.say("  " + describe_pose(sequence.name, pose[sequence.name]))
-    return {"name": NAMES[kind], "folder": folder, "pose": pose, "depth": None, "training": None}
+    return {"name": NAMES[kind], "folder": _folder(kind), "pose": pose, "depth": None, "training": None}
+
+
+def localise(
+    kind: str,
+    make_slam: Callable[[], GeometricSLAM],
+    sequence: Sequence,
+    settings: LoopSettings,
+    store: RunStore,
+    monitor: Monitor,
+) -> dict[str, Any]:
+    """Run a system on the images of one recording alone, unless the store has its result; return the pose figures.
+
+    Args:
+        kind: As for ``run_baseline``, like the other arguments.
+        make_slam: Makes the system.
+        sequence: The recording.
+        settings: Seed, alignment and export formats.
+        store: Remembers the run.
+        monitor: Who watches.
+    """
+
+    def work() -> dict[str, Any]:
+        given = sensor_input(sequence, "mono", None)
+        result = run_slam(make_slam, sequence, given, seed=settings.seed, monitor=monitor)
+        with store.new_folder(store.path(_folder(kind), "slam", sequence.name)) as target:
+            write_slam_folder(result, target, settings.export, frame=sequence.frame)
+        return pose_figures(result, sequence, settings.alignment)
+
+    figures: dict[str, Any] = store.step(f"{_folder(kind)}/slam/{sequence.name}", work)
+    return figures
+
+
+def baseline_result(kind: str, sequence: Sequence, store: RunStore) -> SlamResult:
+    """Read what ``localise`` left in the store."""
+    return load_slam_result(store.path(_folder(kind), "slam", sequence.name, "result.npz"))
+
+
+def _folder(kind: str) -> str:
+    return f"baselines/{kind}"

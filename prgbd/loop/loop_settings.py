@@ -12,6 +12,8 @@ from prgbd.loop.criterion import CRITERIA
 from prgbd.loop.depth_figures import DepthProtocol
 from prgbd.loop.slam_runs import MapFiles
 
+FIRST_TEACHERS = ("pseudo_rgbd", "mono")
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -23,6 +25,8 @@ class LoopSettings:
             early and keeps the last loop, for ablations.
         criterion: What decides whether a loop helped: ``held_out`` (the loss of the refinement on held-out keyframes),
             ``slam`` (what SLAM made of the refined network, see ``prgbd.loop.criterion``) or ``both``.
+        first_teacher: What the first refinement learns from: ``pseudo_rgbd``, SLAM on the network's depth as in all
+            later ones (the paper), or ``mono``, SLAM on the images alone, for a network that does not know the scene.
         patience: Go on after so many loops in a row that SLAM's evidence calls no better; the best one is kept anyway.
         baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
         running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
@@ -43,6 +47,7 @@ class LoopSettings:
     max_loops: int = 3
     min_improvement: float | None = 0.0
     criterion: str = "held_out"
+    first_teacher: str = "pseudo_rgbd"
     patience: int = 0
     baseline: float | None = None
     running_baseline: bool = False
@@ -63,6 +68,10 @@ class LoopSettings:
             raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
         if self.criterion not in CRITERIA:
             raise ConfigError(f"task.criterion is '{self.criterion}'; choose one of {', '.join(CRITERIA)}.")
+        if self.first_teacher not in FIRST_TEACHERS:
+            raise ConfigError(
+                f"task.first_teacher is '{self.first_teacher}'; choose one of {', '.join(FIRST_TEACHERS)}."
+            )
         if isinstance(self.patience, bool) or not isinstance(self.patience, int) or self.patience < 0:
             raise ConfigError(f"task.patience is {self.patience}; it must be a whole number, 0 or more.")
         if not 0 < self.baseline_percentile <= 100:

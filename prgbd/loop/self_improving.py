@@ -13,6 +13,7 @@ from prgbd.core.errors import ConfigError
 from prgbd.core.export import load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
+from prgbd.loop.baselines import baseline_result, localise
 from prgbd.loop.criterion import compare, stop_reason
 from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.evidence import evidence
@@ -24,6 +25,7 @@ from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_sla
 from prgbd.loop.store import RunStore
 from prgbd.loop.summary import RunIdentity, write_summary, write_truth
 from prgbd.loop.viewing import ViewerMaker
+from prgbd.training.supervision import measured_gap
 
 
 class SelfImprovingLoop:
@@ -193,6 +195,8 @@ class SelfImprovingLoop:
 
     def _find(self, loop: int, sensor: DepthSensor) -> dict[str, Any]:
         gap = 1 if self.refiner is None else self.refiner.settings.frame_gap
+        # All loops must be judged on the same pairs of frames.
+        gap = gap or measured_gap(self._result(0, sensor.sequence))
         return evidence(self._result(loop, sensor.sequence), sensor, gap)
 
     def _sensor(self, loop: int, sequence: Sequence) -> DepthSensor:
@@ -248,7 +252,7 @@ class SelfImprovingLoop:
 
         def work() -> dict[str, Any] | None:
             assert self.refiner is not None
-            supervised = [(sequence, self._result(loop, sequence)) for sequence in self.sequences]
+            supervised = [(sequence, self._teacher(loop, sequence)) for sequence in self.sequences]
             return self.refiner.refine(self.estimator, supervised, self.store, loop, self.monitor)
 
         resumed = self.store.is_done(step_name(loop, "refine"))
@@ -264,6 +268,14 @@ class SelfImprovingLoop:
         if not reason and resumed:
             self.estimator.load_weights(weights)
         return training, reason
+
+    def _teacher(self, loop: int, sequence: Sequence) -> SlamResult:
+        """What the network learns from: SLAM's result of this loop, or at first that on the images alone."""
+        if loop > 0 or self.settings.first_teacher == "pseudo_rgbd":
+            return self._result(loop, sequence)
+        pose = localise("mono", self.make_slam, sequence, self.settings, self.store, self.monitor)
+        self.monitor.say("  teacher, the images alone: " + describe_pose(sequence.name, pose))
+        return baseline_result("mono", sequence, self.store)
 
     def _result(self, loop: int, sequence: Sequence) -> SlamResult:
         return load_slam_result(self.store.loop(loop, "slam", sequence.name, "result.npz"))

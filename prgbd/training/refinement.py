@@ -60,7 +60,7 @@ class RefinementOutcome:
         keyframes: Number of keyframes that SLAM kept.
         skipped: Why the others gave none, reason -> number.
         points_per_sample: Mean number of points that a sample's three keyframes share.
-        scales: Factor on SLAM's lengths per sequence; 1 where the scale was left alone.
+        scales: Factor on SLAM's lengths per sequence, that of its largest map; 1 where the scale was left alone.
         seconds: Duration.
     """
 
@@ -129,9 +129,14 @@ def refine(
         keyframes=sum(s.keyframes for s in supervisions),
         skipped=dict(sum((Counter(s.skipped) for s in supervisions), Counter())),
         points_per_sample=float(np.mean([len(x.point) for s in supervisions for x in s.samples])),
-        scales={source.name: source.scale for source in sources},
+        scales=_scales(sources),
         seconds=time.perf_counter() - began,
     )
+
+
+def _scales(sources: list[SupervisedImages]) -> dict[str, float]:
+    ascending = sorted(sources, key=lambda source: len(source.supervision.samples))
+    return {source.name: source.scale for source in ascending}
 
 
 def _fit(
@@ -236,13 +241,14 @@ def _decoded(
     needed = sum(len(needed_frames(s)) for s in supervisions)
     folder = image_folder(needed, estimator.input_size, settings.memory_mb, out)
     try:
-        sources = []
-        for number, ((sequence, result), supervision) in enumerate(zip(supervised, supervisions, strict=True)):
-            file = folder / f"{number}.npy" if folder and supervision.samples else None
-            source = decode_images(sequence, supervision, estimator, file)
-            if settings.align_scale or (settings.align_scale is None and result.mode == "mono"):
-                source = replace(source, scale=network_scale(estimator, source))
-            sources.append(source)
+        sources: list[SupervisedImages] = []
+        for (sequence, result), whole in zip(supervised, supervisions, strict=True):
+            aligned = settings.align_scale or (settings.align_scale is None and result.mode == "mono")
+            # Every monocular map has a scale of its own.
+            for supervision in whole.by_map() if aligned else [whole]:
+                file = folder / f"{len(sources)}.npy" if folder and supervision.samples else None
+                source = decode_images(sequence, supervision, estimator, file)
+                sources.append(replace(source, scale=network_scale(estimator, source)) if aligned else source)
         yield sources
     finally:
         if folder is not None:

@@ -50,7 +50,8 @@ class RefinementSettings:
         min_keyframes: Outlier removal: fewest keyframes that must observe a point.
         max_reprojection_error: Outlier removal: pixels.
         keyframe_gap: How many keyframes away the neighbouring keyframes are.
-        frame_gap: How many frames away the temporally adjacent frames are.
+        frame_gap: How many frames away the temporally adjacent frames are (the paper: 1); 0 measures how many it takes
+            to see the scene from another place, see ``supervision.measured_gap``.
         min_common_points: Points that a neighbouring keyframe should share with the current one.
         consistency_points: ``common`` (the paper) or ``all``, which points depth consistency compares; see
             ``supervision.keyframe_samples``.
@@ -109,10 +110,10 @@ class RefinementSettings:
         if not any(self.weights.values()):
             raise ConfigError("All loss weights are 0, so nothing would be trained; set one of loss.* above 0.")
         positive = ("learning_rate", "epochs", "batch_size", "min_keyframes", "max_reprojection_error")
-        for name in (*positive, "keyframe_gap", "frame_gap"):
+        for name in (*positive, "keyframe_gap"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be positive.")
-        for name in ("workers", "min_common_points", "memory_mb", "checkpoint_minutes"):
+        for name in ("frame_gap", "workers", "min_common_points", "memory_mb", "checkpoint_minutes"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be 0 or positive.")
         if self.patch < 1 or self.patch % 2 == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,11 @@ from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, 
 Floats = NDArray[np.float64]
 
 CONSISTENCY_POINTS = ("common", "all")
+# Adjacent frames should see the scene from places this far apart, as a share of its depth: below, parallax drowns in
+# the noise of poses and image. A car at 10 Hz is above it from one frame to the next, a hand at 30 Hz in four.
+_ADJACENT_PARALLAX = 0.015
+_WIDEST_GAP = 15
+
 NO_KEYFRAME_BEFORE = "no earlier keyframe in the same map"
 NO_KEYFRAME_AFTER = "no later keyframe in the same map"
 NO_ADJACENT_FRAME = "a temporally adjacent frame is lost, missing or in another map"
@@ -25,6 +30,7 @@ class KeyframeSample:
 
     Attributes:
         current: Position of c in the sequence.
+        map_id: Map that c belongs to; maps that are not connected may differ in scale.
         adjacent: (2,) int64 positions of the frames before and after c (narrow baseline).
         neighbours: (2,) int64 positions of the keyframes k1 before and k2 after c (wide baseline).
         aTc: (2, 4, 4) float64 transforms from camera c to the adjacent cameras, translation in SLAM's unit.
@@ -37,6 +43,7 @@ class KeyframeSample:
     """
 
     current: int
+    map_id: int
     adjacent: NDArray[np.int64]
     neighbours: NDArray[np.int64]
     aTc: Floats
@@ -78,6 +85,11 @@ class Supervision:
         """Mean number of points common to the three keyframes of a sample."""
         return float(np.mean([len(s.point) for s in self.samples])) if self.samples else 0.0
 
+    def by_map(self) -> list[Supervision]:
+        """Return one supervision per map that gave samples, with the same counts."""
+        maps = dict.fromkeys(sample.map_id for sample in self.samples)
+        return [replace(self, samples=[s for s in self.samples if s.map_id == map_id]) for map_id in maps]
+
 
 def reprojection_errors(camera: PinholeCamera, keyframes: Keyframes, points: MapPoints, seen: Observations) -> Floats:
     """Return the distance of every observation to its projected point, (M,) pixels; infinite behind the camera."""
@@ -116,6 +128,32 @@ def clean_observations(result: SlamResult, min_keyframes: int = 3, max_reproject
     keep = observers[seen.point] >= min_keyframes
     keep &= reprojection_errors(result.camera, result.keyframes, result.points, seen) <= max_reprojection_error
     return Observations(seen.keyframe[keep], seen.point[keep], seen.uv[keep], seen.depth[keep])
+
+
+def measured_gap(result: SlamResult) -> int:
+    """Return how many frames away the adjacent frames should be, by how far the camera moves in the depth it sees.
+
+    Args:
+        result: SLAM's output; its scale does not matter.
+
+    Returns:
+        The fewest frames, at most 15, in which half of the keyframes move by 1.5 % of the median depth of their points;
+        1 where there is nothing to measure.
+    """
+    keyframes, trajectory, seen = result.keyframes, result.trajectory, result.observations
+    local = points_in_camera(keyframes.wTc[seen.keyframe], result.points.xyz[seen.point])[:, 2]
+    depth = np.array([np.median(local[seen.keyframe == row]) for row in np.unique(seen.keyframe)])
+    frames = keyframes.frame_index[np.unique(seen.keyframe)]
+    for gap in range(1, _WIDEST_GAP + 1):
+        rows = np.searchsorted(trajectory.frame_index, np.stack([frames, frames + gap]))
+        rows = np.minimum(rows, len(trajectory) - 1)
+        known = (trajectory.frame_index[rows] == np.stack([frames, frames + gap])).all(axis=0) & (depth > 0)
+        if not known.any():
+            continue
+        ends = trajectory.wTc[rows[:, known], :3, 3]
+        if np.median(np.linalg.norm(ends[1] - ends[0], axis=1) / depth[known]) >= _ADJACENT_PARALLAX:
+            return gap
+    return _WIDEST_GAP if len(frames) else 1
 
 
 def parallax(keyframes: Keyframes, points: MapPoints, seen: Observations) -> Floats:
@@ -160,7 +198,7 @@ def keyframe_samples(
         max_reprojection_error: See ``clean_observations``.
         keyframe_gap: How many keyframes away k1 and k2 are; 1 for the nearest. Further ones give a wider baseline and
             fewer common points.
-        frame_gap: How many frames away the temporally adjacent frames are.
+        frame_gap: How many frames away the temporally adjacent frames are; 0 for ``measured_gap``.
         min_common_points: k1 is the nearest keyframe at ``keyframe_gap`` or beyond that shares this many points with c,
             among the next five; if none does, the one at the gap. Likewise k2. A sample without common points still
             trains by its photometric term.
@@ -174,6 +212,7 @@ def keyframe_samples(
     """
     cleaned = clean_observations(result, min_keyframes, max_reprojection_error)
     views = _Views(result, cleaned, consistency_points, min_parallax)
+    frame_gap = frame_gap or measured_gap(result)
     samples: list[KeyframeSample] = []
     skipped: Counter[str] = Counter()
     for row in range(len(result.keyframes)):
@@ -260,6 +299,7 @@ class _Views:
         seen_uv, seen_depth = self._own(row) if self.consistency_points == "all" else (uv[0], depth[0])
         return KeyframeSample(
             current=int(keyframes.frame_index[row]),
+            map_id=int(keyframes.map_id[row]),
             adjacent=trajectory.frame_index[adjacent],
             neighbours=keyframes.frame_index[[k1, k2]],
             aTc=np.linalg.inv(trajectory.wTc[adjacent]) @ wTc,

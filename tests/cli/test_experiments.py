@@ -64,6 +64,7 @@ def test_caps_and_bins_follow_the_range():
         ("evaluation.depth_crop=round", "depth_crop"),
         ("evaluation.median_scaling=perhaps", "median_scaling"),
         ("task.baselines=[stereo]", "baselines"),
+        ("task.first_teacher=posenet", "first_teacher"),
     ],
 )
 def test_a_wrong_option_is_named(option, named):
@@ -83,3 +84,22 @@ def test_a_run_reports_caps_bins_baselines_and_test_recordings(run):
         described = json.loads((Path("run/baselines/mono/slam") / name / "slam.json").read_text())
         assert described["mode"] == "mono"
     assert summary["test_sequences"] == []
+
+
+def test_monocular_slam_may_be_the_first_teacher(run):
+    summary = run("task.max_loops=2", "task.min_improvement=null", "task.first_teacher=mono")
+    (mono,) = summary["baselines"]
+    first, second = (summary["loops"][k]["training"]["keyframes"] for k in (0, 1))
+    counts = {name: figures["keyframes"] for name, figures in mono["pose"].items()}
+    assert first == sum(counts.values())
+    assert second == sum(figures["keyframes"] for figures in summary["loops"][1]["pose"].values())
+
+
+def test_the_first_teacher_learns_nothing_from_test_recordings(run, tmp_path):
+    summary = run(
+        *("data.root=.", "data.sequences=['00']", "data.test_sequences=['10']"),
+        *("task.max_loops=1", "task.first_teacher=mono"),
+    )
+    (mono,) = summary["baselines"]
+    assert set(mono["pose"]) == {"00", "10"}  # the one teaches, the other is compared with
+    assert summary["loops"][0]["training"]["keyframes"] == mono["pose"]["00"]["keyframes"]

@@ -46,6 +46,7 @@ def test_names_are_the_paper_s():
         {"min_improvement": 1.0},
         {"baseline_percentile": 0},
         {"baseline_percentile": 101},
+        {"first_teacher": "posenet"},
     ],
 )
 def test_settings_are_checked(wrong):

@@ -216,6 +216,37 @@ def test_monocular_scale_is_aligned_to_the_network(tmp_path):
     assert with_scale.scales["wall"] == 1.0
 
 
+def test_every_monocular_map_is_aligned_by_itself(tmp_path):
+    sequence = WallSequence(24, step=0.12)
+    result = second_map_enlarged(true_slam_result(sequence, mode="mono", map_of=[0] * 4 + [1] * 4), 3.0)
+    apart = refine(TiltNet(start=0.2), [(sequence, result)], QUICK, tmp_path)
+    assert apart.samples == 4
+    # With one scale for both maps, a wall 5 m away is asked to be at 3 and at 9 m, and 1.5 m of error stay.
+    assert apart.losses[-1]["depth_consistency"] < 0.4
+
+
+def second_map_enlarged(result, factor):
+    """Multiply the lengths of the keyframes 4 to 7, of their frames and of points of their own."""
+    keyframes, trajectory, seen = result.keyframes, result.trajectory, result.observations
+    later = keyframes.map_id == 1
+    poses, frames = keyframes.wTc.copy(), trajectory.wTc.copy()
+    poses[later, :3, 3] *= factor
+    frames[trajectory.frame_index >= keyframes.frame_index[later][0], :3, 3] *= factor
+    own = np.where(later[seen.keyframe], seen.point + len(result.points), seen.point)
+    points = replace(
+        result.points,
+        xyz=np.concatenate([result.points.xyz, factor * result.points.xyz]),
+        rgb=np.concatenate([result.points.rgb] * 2),
+    )
+    return replace(
+        result,
+        keyframes=replace(keyframes, wTc=poses),
+        trajectory=replace(trajectory, wTc=frames),
+        points=points,
+        observations=replace(seen, point=own, depth=np.zeros_like(seen.depth)),
+    )
+
+
 def test_scale_without_points_is_one(wall):
     network = TiltNet()
     source = samples_of(wall, network)

@@ -94,12 +94,29 @@ def test_samples_stay_within_their_map():
     assert found.samples[1].neighbours.tolist() == [3, 9]
     assert found.samples[2].neighbours.tolist() == [12, 18]
     assert found.skipped == {supervision.NO_KEYFRAME_BEFORE: 2, supervision.NO_KEYFRAME_AFTER: 2}
+    assert [[s.current for s in part.samples] for part in found.by_map()] == [[3, 6], [15, 18]]
 
 
 def test_neighbours_may_be_further_away():
     found = supervision.keyframe_samples(true_slam_result(WallSequence(24)), keyframe_gap=2, frame_gap=2)
     first = found.samples[0]
     assert (first.current, first.neighbours.tolist(), first.adjacent.tolist()) == (6, [0, 12], [4, 8])
+
+
+@pytest.mark.parametrize(("step", "gap"), [(0.08, 1), (0.03, 3), (0.0001, 15)])
+def test_the_measured_gap_follows_the_motion(step, gap):
+    """The wall is 5 m away, so 1.5 % of the depth are 75 mm; the camera moves 1.03 steps a frame."""
+    result = true_slam_result(WallSequence(48, step=step), scale=0.1)
+    assert supervision.measured_gap(result) == gap
+    if gap < 15:
+        found = supervision.keyframe_samples(result, frame_gap=0).samples[0]
+        assert found.adjacent.tolist() == [found.current - gap, found.current + gap]
+
+
+def test_nothing_to_measure_is_a_gap_of_one(result):
+    seen = result.observations
+    blind = Observations(seen.keyframe[:0], seen.point[:0], seen.uv[:0], seen.depth[:0])
+    assert supervision.measured_gap(replace(result, observations=blind)) == 1
 
 
 def test_a_neighbour_without_common_points_is_passed_over(result):

@@ -38,11 +38,17 @@ def run(job: Job) -> None:
 
 
 def _baselines(job: Job) -> list[dict[str, Any]]:
-    """Run what ``task.baselines`` names on the test recordings, or on all if there are none."""
+    """Run what ``task.baselines`` names on the test recordings, or on all if there are none.
+
+    One that teaches the network runs on all.
+    """
     parts, config = job.parts, job.config
-    sequences = parts.test_sequences or parts.sequences
     options = settings.loop_settings(config, None)
+    tested = parts.test_sequences or parts.sequences
+    everything = [*parts.sequences, *parts.test_sequences]
     return [
-        run_baseline(kind, make, sequences, options, job.store, job.display)
+        run_baseline(
+            kind, make, everything if kind == options.first_teacher else tested, options, job.store, job.display
+        )
         for kind, make in parts.make_baselines.items()
     ]
