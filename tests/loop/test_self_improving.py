@@ -8,8 +8,10 @@ import pytest
 from prgbd.core.errors import ConfigError
 from prgbd.loop.depth_figures import DepthProtocol, depth_figures, evenly, write_samples
 from prgbd.loop.loop_settings import LoopSettings
-from prgbd.loop.self_improving import loop_name, stop_reason
+from prgbd.loop.monitor import SilentMonitor
+from prgbd.loop.self_improving import SelfImprovingLoop, loop_name, stop_reason
 from prgbd.loop.sensing import DepthSensor
+from tests.loop import fakes
 from tests.loop.fakes import Tiny, Wall
 
 
@@ -86,3 +88,31 @@ def test_depth_figures_count_images_with_truth(tmp_path):
     figures = depth_figures([DepthSensor(Tiny(), Blind(frames=6), tmp_path, name="t")], DepthProtocol(images=None))
     assert (figures["images"], figures["images_without_truth"]) == (3, 3)
     assert depth_figures([DepthSensor(Tiny(), NoTruth(frames=6), tmp_path, name="t")]) is None
+
+
+@pytest.mark.parametrize(
+    ("sigma", "options", "warned"),
+    [
+        (0.46, {}, True),
+        (0.19, {}, False),
+        (None, {}, False),
+        (0.46, {"first_teacher": "mono"}, False),
+        (0.46, {"max_loops": 0}, False),
+    ],
+)
+def test_a_network_that_does_not_know_the_scene_is_pointed_out(sigma, options, warned):
+    heard = Listener()
+    loop = SelfImprovingLoop(Tiny(), fakes.Sideways, [Wall()], None, LoopSettings(**options), None, None, monitor=heard)
+    loop._warn_of_a_strange_scene("wall", {"depth_sigma": sigma})
+    assert bool(heard.said) == warned
+    if warned:
+        assert "wall is wrong by 46%" in heard.said[0]
+        assert "experiment=adapt" in heard.said[0]
+
+
+class Listener(SilentMonitor):
+    def __init__(self):
+        self.said = []
+
+    def say(self, line):
+        self.said.append(line)
