@@ -15,6 +15,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, PrgbdError, UnknownPluginError
@@ -297,11 +298,31 @@ def _check_options(spec: PluginSpec, cls: type[Any], arguments: Mapping[str, Any
     if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls).parameters.values()):
         return
     known = _options(cls)
-    for name in arguments:
+    for name, value in arguments.items():
         if name not in known:
             near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
             hint = f"did you mean {_listed(near)}?" if near else f"its options are {_listed(sorted(known))}."
             raise ConfigError(f"The {spec.kind} plug-in '{spec.id}' has no option '{name}'; {hint}")
+        wanted = _wanted_number(known[name].annotation, value)
+        if wanted:
+            raise ConfigError(
+                f"The option {spec.kind}.{name} is {value!r}; the {spec.kind} plug-in '{spec.id}' takes {wanted} there."
+            )
+
+
+def _wanted_number(annotation: Any, value: Any) -> str:
+    """What an option that is annotated as a number wants in place of a value; "" where it takes it.
+
+    A text where a number belongs would else fail somewhere within the plug-in, with a message about neither.
+    """
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    types = {part.strip() for part in text.split("|")}
+    if not types & {"int", "float"} or types - {"int", "float", "None"}:
+        return ""
+    if isinstance(value, str | bool | list | tuple | Mapping):
+        return "a whole number" if "float" not in types else "a number"
+    fraction = "float" not in types and isinstance(value, Real) and not isinstance(value, Integral)
+    return "a whole number" if fraction else ""
 
 
 def _summary(entry: metadata.EntryPoint) -> str:

@@ -1,5 +1,6 @@
 import sys
 
+import numpy as np
 import pytest
 
 import prgbd
@@ -145,3 +146,24 @@ def test_make_data_makes_one_recording() -> None:
     assert prgbd.make_data("test/clips", sequences=["b"]).name == "b"
     with pytest.raises(ConfigError, match="make_sequences"):
         prgbd.make_data("test/clips", sequences=["a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "wanted"),
+    [
+        ("fps", "abc", "a number"),
+        ("fov", True, "a number"),
+        ("start", "a", "a whole number"),
+        ("step", 1.5, "a whole number"),
+        ("stop", [3], "a whole number"),
+    ],
+)
+def test_what_is_no_number_where_one_belongs_is_named_with_its_option(option, value, wanted) -> None:
+    with pytest.raises(ConfigError, match=rf"^The option data\.{option} is .*takes {wanted} there\.$"):
+        prgbd.make_data("images", root="anywhere", **{option: value})
+
+
+def test_numbers_of_other_types_and_none_are_numbers(registry) -> None:
+    registry.register(spec("net"))
+    assert registry.make("depth", "net", value=np.float32(3)).value == 3
+    assert registry.make("depth", "net", value=3).value == 3
