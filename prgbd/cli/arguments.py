@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 from collections.abc import Sequence
 
@@ -26,6 +27,7 @@ FLAGS = (
     "-sc",
 )
 _OVERRIDE = re.compile(r"^(?P<prefix>\+\+|\+|~)?(?P<key>[A-Za-z_][\w./@:-]*)(?:=(?P<value>.*))?$", re.DOTALL)
+_PLAIN = re.compile(r"^[A-Za-z0-9_/.-]*$|^['\"\[{]|.*\$\{")
 _PLUGIN_OPTION = re.compile(rf"^(?:{'|'.join(KINDS)})\.\w")
 
 
@@ -70,8 +72,16 @@ def _without_plus(argument: str, found: re.Match[str]) -> str:
     if key in GROUPS:
         return f"{key}={value}"
     if _PLUGIN_OPTION.match(key):
-        return f"++{key}={value}"
-    return argument
+        return f"++{key}={_quoted(value)}"
+    return f"{prefix or ''}{key}={_quoted(value)}"
+
+
+def _quoted(value: str) -> str:
+    """Put quotes around a file or folder that is there: Hydra reads brackets, commas and accents as its own."""
+    if _PLAIN.match(value) or not os.path.exists(os.path.expanduser(value)):
+        return value
+    escaped = value.replace("'", r"\'")
+    return f"'{escaped}'"
 
 
 def _check_flag(argument: str) -> None:

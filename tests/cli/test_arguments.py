@@ -1,4 +1,5 @@
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from prgbd.cli.arguments import is_multirun, normalise, value_of
 from prgbd.core.errors import ConfigError
@@ -35,3 +36,16 @@ def test_the_last_value_of_an_option_counts():
     assert value_of(["seed=1"], "resume") is None
     assert is_multirun(["--multirun"])
     assert not is_multirun(["x=-m"])
+
+
+@pytest.mark.parametrize("name", ["my video (1).mp4", "it's, mine.mp4", "ümläut.mp4"])
+def test_a_file_that_is_there_needs_no_quotes(tmp_path, name):
+    film = tmp_path / name
+    film.touch()
+    assert normalise([f"data.root={film}"]) == ["++data.root='" + str(film).replace("'", r"\'") + "'"]
+    assert normalise([f"data.root={film}.x", f"data.root='{film}'"]) == [
+        f"++data.root={film}.x",
+        f"++data.root='{film}'",
+    ]
+    (override,) = OverridesParser.create().parse_overrides(normalise([f"data.root={film}"]))
+    assert override.value() == str(film)
