@@ -26,7 +26,8 @@ def main(arguments: list[str] | None = None) -> int:
     )
     from rich.console import Console
 
-    console, errors = Console(), Console(stderr=True)
+    console = Console() if sys.stdout.isatty() else Console(width=200, color_system=None)
+    errors = Console(stderr=True)
     code = 0
     options = parser.parse_args(arguments)
     for folder in [None] if options.compare else options.folders:

@@ -45,7 +45,9 @@ def test_one_row_per_run_labelled_by_what_varied(multirun):
 
 def test_the_files_hold_the_same_table(multirun, capsys):
     assert main([str(multirun)]) == 0
-    assert "no_photometric" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "no_photometric" in printed
+    assert max(map(len, printed.splitlines())) > 80  # a pipe or a file is as wide as the table
     paths = join(multirun)
     assert [p.name for p in paths] == ["ablation.md", "ablation.csv", "ablation.tex"]
     markdown, table, latex = (p.read_text() for p in paths)
