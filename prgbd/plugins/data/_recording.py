@@ -16,6 +16,7 @@ from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data._camera import Undistorter
 from prgbd.plugins.data._images import read_depth, read_image
 
+ARCHIVES = (".zip", ".tgz", ".tar.gz", ".tar")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
 
 
@@ -81,8 +82,10 @@ class FileSequence(Sequence):
         self._undistorter = Undistorter(camera)
         self._files = files.chosen(frame_range(len(files.images), start, stop, step, name))
         self.timestamps = np.asarray(self._files.timestamps, np.float64)
-        if not (np.isfinite(self.timestamps).all() and np.all(np.diff(self.timestamps) > 0)):
-            raise DataError(f"The time stamps of the recording '{name}' do not ascend; check its list of times.")
+        bad = np.flatnonzero(~(np.diff(self.timestamps) > 0))
+        if len(bad) or not np.isfinite(self.timestamps).all():
+            where = f" behind {self._files.images[bad[0]].name}" if len(bad) else ""
+            raise DataError(f"The time stamps of the recording '{name}' do not ascend{where}; check its list of times.")
 
     @property
     def poses(self) -> NDArray[np.float64] | None:
@@ -160,6 +163,12 @@ def existing_root(root: str | Path) -> Path:
     if not path.is_dir():
         raise DataError(f"There is no folder {path}; check the option data.root.")
     return path
+
+
+def or_unpack(folder: Path, mend: str) -> str:
+    """Return the mend for a folder without recordings: its archives, if any, are to be unpacked first."""
+    packed = sorted(p for pattern in ("*", "*/*") for p in folder.glob(pattern) if p.name.lower().endswith(ARCHIVES))
+    return f"unpack {packed[0].relative_to(folder)} where it lies" if packed else mend
 
 
 def choose(sequence: str | None, names: Iterable[str], root: Path) -> str:

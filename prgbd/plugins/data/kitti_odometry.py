@@ -17,6 +17,7 @@ from prgbd.plugins.data._recording import (
     as_poses,
     choose,
     existing_root,
+    or_unpack,
     read_table,
     text_lines,
 )
@@ -58,6 +59,7 @@ class KittiOdometrySequence(FileSequence):
         base = _base(root)
         name = choose(_padded(sequence), _names(base), base)
         folder = base / "sequences" / name
+        _check_complete(folder)
         left, right = _cameras(folder, camera)
         images = list_images(folder / f"image_{left}")
         numbers = [_number(path) for path in images]
@@ -94,9 +96,8 @@ def _base(root: str | Path) -> Path:
     for base in (path, path / "dataset"):
         if (base / "sequences").is_dir():
             return base
-    raise DataError(
-        f"{path} has no folder 'sequences'; set data.root to the folder that holds 'sequences' and 'poses'."
-    )
+    mend = or_unpack(path, "set data.root to the folder that holds 'sequences' and 'poses'")
+    raise DataError(f"{path} has no folder 'sequences'; {mend}.")
 
 
 def _names(base: Path) -> list[str]:
@@ -106,6 +107,16 @@ def _names(base: Path) -> list[str]:
             f"{base / 'sequences'} has no sequence with a folder image_0 or image_2; check the option data.root."
         )
     return sorted(found)
+
+
+def _check_complete(folder: Path) -> None:
+    """The images and the two text files of a sequence are downloads of their own, so one is easily forgotten."""
+    absent = [file for file in ("calib.txt", "times.txt") if not (folder / file).is_file()]
+    if absent:
+        raise DataError(
+            f"There is no file {folder / absent[0]}; it comes with the data set's calibration files "
+            "(data_odometry_calib.zip), see python -m prgbd.data prepare kitti_odometry."
+        )
 
 
 def _padded(sequence: str | int | None) -> str | None:

@@ -13,7 +13,7 @@ from prgbd.core.errors import ConfigError, DataError
 from prgbd.plugins.data._camera import plausible
 from prgbd.plugins.data._images import list_images, read_image
 from prgbd.plugins.data._kitti_calibration import camera_poses, read_day, read_scan, velodyne_depth
-from prgbd.plugins.data._recording import Files, FileSequence, check_index, choose, existing_root, text_lines
+from prgbd.plugins.data._recording import Files, FileSequence, check_index, choose, existing_root, or_unpack, text_lines
 
 CAMERAS = {"color": {"left": (2, 3), "right": (3, 3)}, "gray": {"left": (0, 1), "right": (1, 1)}}
 SIDES = ("left", "right")
@@ -111,10 +111,15 @@ def _drives(root: str | Path, split: str | Path | None, side: str) -> dict[str, 
     path = existing_root(root)
     found = {folder.name: folder for folder in sorted(path.glob("*/*_drive_*")) if any(folder.glob("image_0?/data"))}
     if not found:
+        mend = or_unpack(path, "set data.root to the folder that holds the days")
+        raise DataError(f"{path} has no drives such as 2011_09_26/2011_09_26_drive_0001_sync with images; {mend}.")
+    unrectified = [name for name in found if name.endswith("_extract")]
+    if len(unrectified) == len(found):
         raise DataError(
-            f"{path} has no drives such as 2011_09_26/2011_09_26_drive_0001_sync with images; set data.root to the "
-            "folder that holds the days."
+            f"{found[unrectified[0]]} is not rectified, and the calibration is that of rectified images; download the "
+            "drive as 'synced+rectified data'."
         )
+    found = {name: folder for name, folder in found.items() if name not in unrectified}
     if split is None:
         return found
     wanted = _split(Path(split), side)
@@ -153,6 +158,10 @@ def _cameras(folder: Path, camera: str, side: str) -> tuple[int, int]:
     if camera == "auto":
         colour = folder / f"image_{CAMERAS['color'][side][0]:02d}" / "data"
         camera = "color" if colour.is_dir() and any(colour.iterdir()) else "gray"
+    number = CAMERAS[camera][side][0]
+    other = SIDES[1 - SIDES.index(side)]
+    if not (folder / f"image_{number:02d}").is_dir() and (folder / f"image_0{CAMERAS['color'][other][0]}").is_dir():
+        raise DataError(f"{folder} has images of the {other} colour camera alone; set data.side={other}.")
     return CAMERAS[camera][side]
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.plugins.data._camera import plausible
 from prgbd.plugins.data._images import read_image, safe_name
-from prgbd.plugins.data._recording import Files, FileSequence, as_poses, choose, existing_root, text_lines
+from prgbd.plugins.data._recording import Files, FileSequence, as_poses, choose, existing_root, or_unpack, text_lines
 
 
 class SevenScenesSequence(FileSequence):
@@ -80,7 +80,8 @@ class SevenScenesSequence(FileSequence):
 def _names(base: Path) -> list[str]:
     found = [p for pattern in ("seq-*", "*/seq-*") for p in base.glob(pattern) if p.is_dir()]
     if not found:
-        raise DataError(f"{base} has no folder SCENE/seq-XX; set data.root to the folder of the scenes.")
+        mend = or_unpack(base, "set data.root to the folder of the scenes")
+        raise DataError(f"{base} has no folder SCENE/seq-XX; {mend}.")
     return sorted(p.relative_to(base).as_posix() for p in found)
 
 

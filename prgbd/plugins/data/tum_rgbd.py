@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import PinholeCamera
 from prgbd.plugins.data._images import list_images, read_image, safe_name
-from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, read_table, text_lines
+from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, or_unpack, read_table, text_lines
 
 MAX_DIFFERENCE = 0.02  # seconds, as in the data set's own tools
 MAX_GAP = 0.1  # seconds between two poses of the motion capture to interpolate over
@@ -89,7 +89,8 @@ def _names(base: Path) -> dict[str, Path]:
         return {base.resolve().name: base}
     found = {p.name: p for p in sorted(base.iterdir()) if (p / "rgb").is_dir()}
     if not found:
-        raise DataError(f"{base} is no recording and holds none (a folder with 'rgb'); check the option data.root.")
+        mend = or_unpack(base, "check the option data.root")
+        raise DataError(f"{base} is no recording and holds none (a folder with 'rgb'); {mend}.")
     return found
 
 

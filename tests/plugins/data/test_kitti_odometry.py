@@ -141,9 +141,10 @@ def test_missing_and_broken_files_are_named(root: Path) -> None:
     write_picture(folder(root) / "image_0" / "000003.png", 3, 32, 24)
     with pytest.raises(DataError, match=r"000003\.png is 32x24"):
         KittiOdometrySequence(root).frame(3)
-    (folder(root) / "calib.txt").unlink()
-    with pytest.raises(DataError, match=r"There is no file .*calib\.txt"):
-        KittiOdometrySequence(root)
+    for name in ("times.txt", "calib.txt"):
+        (folder(root) / name).unlink()
+        with pytest.raises(DataError, match=rf"There is no file .*{name}; .*data_odometry_calib\.zip"):
+            KittiOdometrySequence(root)
 
 
 def test_an_empty_folder_of_images_is_refused(root: Path) -> None:

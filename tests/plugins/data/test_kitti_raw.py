@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,24 @@ def test_what_is_wrong_is_said_in_one_sentence(root: Path, tmp_path: Path) -> No
     refused("no line P_rect_02")
     with pytest.raises(DataError, match="has no drives"):
         KittiRawSequence.available(root=root / DAY / DRIVE)
+
+
+def test_unrectified_drives_are_refused(root: Path) -> None:
+    folder = root / DAY / DRIVE
+    (root / DAY / f"{DAY}_drive_0009_extract" / "image_02" / "data").mkdir(parents=True)
+    assert KittiRawSequence.available(root=root) == [DRIVE]
+    folder.rename(folder.with_name(DRIVE.replace("_sync", "_extract")))
+    with pytest.raises(DataError, match=r"_extract is not rectified.*synced\+rectified"):
+        KittiRawSequence(root)
+
+
+def test_a_drive_with_the_other_side_alone_says_so(root: Path) -> None:
+    folder = root / DAY / DRIVE
+    for name in ("image_00", "image_01", "image_03"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    (folder / "image_02").rename(folder / "image_03")
+    with pytest.raises(DataError, match=r"right colour camera alone; set data\.side=right"):
+        KittiRawSequence(root)
 
 
 @pytest.mark.parametrize(("truth", "key"), [("velodyne", "velodyne_forward"), ("camera", "camera_z")])

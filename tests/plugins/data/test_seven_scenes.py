@@ -100,3 +100,11 @@ def test_the_real_recording_fits_its_own_depth_and_poses(shared_data: Path) -> N
     prgbd.check_sequence(sequence, frames=3)
     assert (sequence.camera.fx, sequence.camera.cx, len(sequence)) == (525, 320, 500)
     assert warp_error(sequence, 100, 110) < 0.6 * warp_error(sequence, 100, 110, identity=True)
+
+
+def test_archives_that_are_still_packed_are_named(tmp_path: Path) -> None:
+    (tmp_path / "chess").mkdir()
+    (tmp_path / "chess" / "seq-02.zip").touch()
+    (tmp_path / "chess" / "seq-01.zip").touch()
+    with pytest.raises(DataError, match=r"SCENE/seq-XX; unpack chess/seq-01\.zip where it lies"):
+        SevenScenesSequence(tmp_path)

@@ -148,3 +148,15 @@ def test_the_real_recording_fits_its_own_depth_and_poses(shared_data: Path) -> N
     assert sequence.camera.fx == pytest.approx(517.306408)
     assert np.isfinite(sequence.poses).all()
     assert warp_error(sequence, 20, 28) < 0.6 * warp_error(sequence, 20, 28, identity=True)
+
+
+def test_a_packed_recording_and_a_line_that_comes_twice_are_named(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "packed").mkdir()
+    (tmp_path / "packed" / "rgbd_dataset_freiburg1_xyz.tgz").touch()
+    with pytest.raises(DataError, match=r"unpack rgbd_dataset_freiburg1_xyz\.tgz"):
+        TumRgbdSequence(tmp_path / "packed")
+    listing = next(root.glob("*/rgb.txt"))
+    lines = listing.read_text().splitlines()
+    listing.write_text("\n".join([*lines, lines[-1]]) + "\n")
+    with pytest.raises(DataError, match=rf"do not ascend behind {Path(lines[-1].split()[1]).name}"):
+        TumRgbdSequence(root, listing.parent.name)
