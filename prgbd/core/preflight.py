@@ -23,6 +23,7 @@ NEARLY_SAME = 0.5  # the same after compression, where nothing moves either
 MANY = 0.25  # of the neighbouring frames are the same picture: every third frame or more is a repeated one
 REPEATED = 0.1  # of the motion to the next frame: a frame that moves less is a repeated one
 BLACK, DARK, BRIGHT = 5.0, 30.0, 225.0  # mean grey levels
+LARGE = 2.5e6  # pixels of an image: more than Full HD
 FIELD_OF_VIEW = (25.0, 130.0)  # degrees, horizontal
 FAR = 25.0  # pixels of motion between the frames that a rotation is fitted to, at most 10 frames apart
 TURNS = 0.06  # of the motion may be left over, at four of five places, where the camera only turns
@@ -151,7 +152,7 @@ def _of_turning(sequence: Sequence, look: _Look) -> list[str]:
     only = np.quantile(left[:, given], 0.8) < TURNS
     if only:
         sensor = sequence.frame(0).depth is not None
-        mend = "use slam.mode=rgbd, for there is a sensor" if sensor else "move it sideways, or give depth=ID"
+        mend = "the sensor's is needed (slam.mode=rgbd)" if sensor else "move it sideways, or give depth=ID"
         found.append(f"the camera hardly moves, it only turns, which shows no depth; {mend}")
     fits = left.min(axis=1) < 2.5 * TURNS
     if fits.sum() >= ENOUGH:
@@ -182,7 +183,13 @@ def _of_times(sequence: Sequence) -> list[str]:
 def _of_camera(sequence: Sequence, fov: float) -> list[str]:
     camera, found = sequence.camera, []
     if not FIELD_OF_VIEW[0] < fov < FIELD_OF_VIEW[1]:
-        found.append(f"a horizontal field of view of {fov:.0f} degrees is unlikely; check fx and the image width")
+        given = "check fx and the image width, and that a field of view is given in degrees"
+        found.append(f"a horizontal field of view of {fov:.3g} degrees is unlikely; {given}")
+    if camera.width * camera.height > LARGE:
+        found.append(
+            f"images of {camera.width}x{camera.height} pixels take long and gain little; shrink them (data.width=1280 "
+            "for a video)"
+        )
     if not 0.8 < camera.fx / camera.fy < 1.25:
         found.append(f"fx {camera.fx:.0f} and fy {camera.fy:.0f} differ much; are the images squeezed?")
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))

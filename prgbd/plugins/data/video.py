@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +20,8 @@ from prgbd.plugins.data._images import SUFFIXES as IMAGE_SUFFIXES
 from prgbd.plugins.data._images import safe_name
 from prgbd.plugins.data._mp4 import frame_times
 from prgbd.plugins.data._recording import VIDEO_SUFFIXES, check_index, choose, frame_range
+
+log = logging.getLogger("prgbd")
 
 SKIP = 48  # up to so many frames are decoded and dropped rather than sought
 UNEVEN = 2e-3  # seconds by which frames may last unequally long
@@ -176,6 +179,8 @@ class _Reader:
         while self._capture.grab():
             number += 1
         self._open()
+        if claimed > number:
+            log.warning("%s says it has %d frames, but ends after %d.", self._path, claimed, number)
         return number
 
     def _open(self) -> Any:

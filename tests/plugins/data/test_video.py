@@ -78,7 +78,9 @@ def test_files_that_seek_wrongly_are_read_in_order(clip: Path) -> None:
         assert shade(sequence.frame(i).image) == pytest.approx(2 * i + 20, abs=6)
 
 
-def test_a_wrong_frame_count_is_put_right(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_frame_count_is_put_right_and_named(
+    clip: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     real = cv2.VideoCapture
 
     class Boaster:
@@ -93,6 +95,7 @@ def test_a_wrong_frame_count_is_put_right(clip: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(cv2, "VideoCapture", Boaster)
     assert len(VideoSequence(clip, fov=90)) == FRAMES
+    assert f"says it has {FRAMES + 40} frames, but ends after {FRAMES}" in caplog.text
 
 
 def test_a_copy_opens_the_file_for_itself(clip: Path) -> None:
