@@ -194,6 +194,7 @@ def loss_figure(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]], ter
     ax.set_title(term.replace("_", " "), pad=5)
     ax.margins(x=0.02)
     ax.locator_params(axis="y", nbins=4)
+    ax.locator_params(axis="x", integer=True)
     ax.set_xlabel("training step")
     if len(loops) > 1 and term == "total":
         ax.legend()

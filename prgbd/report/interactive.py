@@ -17,6 +17,7 @@ from prgbd.report.drawing import INK, broken
 from prgbd.report.figures import Path3D
 
 MOST_POINTS = 6000  # per cloud; 9 bytes each, and as many as a phone draws while it is turned
+FAR = 50  # times the extent of the paths that points may lie away
 SCRIPTS = ("view.js", "slider.js")
 
 
@@ -109,8 +110,14 @@ def _scene(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, in
 def _packed(
     name: str, cloud: Cloud, turn: NDArray[np.float64], middle: NDArray[np.float64], reach: float
 ) -> dict[str, Any] | None:
-    """Points as 16-bit numbers; those far outside are left out, for they would coarsen all the others."""
+    """Points as 16-bit numbers; those far outside are left out, for they would coarsen all the others.
+
+    A camera that turns on the spot has nearly all of its map far outside; there the map decides what is far.
+    """
     xyz = cloud.xyz @ turn.T - middle
+    away = np.abs(xyz).max(axis=1)[np.isfinite(xyz).all(axis=1)]
+    if len(away) and np.median(away) > 2 * reach:
+        reach = min(float(np.quantile(away, 0.9)) / 2, FAR * reach)
     near = np.flatnonzero(np.isfinite(xyz).all(axis=1) & (np.abs(xyz) < 2 * reach).all(axis=1))
     near = near[:: max(1, -(-len(near) // MOST_POINTS))]
     if not len(near):

@@ -43,8 +43,18 @@ def range_curves(run: Run) -> list[Curve]:
     return [*_by_cap(found), *_by_distance(found), *_by_loop(run)]
 
 
+def _differ(rows: list[dict[str, Any]] | None) -> bool:
+    """Whether the caps tell anything: in a room all truth is nearer than the smallest, and all figures are one."""
+    return len({tuple(row.get(metric) for metric in TITLES) for row in rows or []}) > 1
+
+
+def _filled(depth: dict[str, Any]) -> int:
+    """How many ranges of distance there are up to the last one that has truth."""
+    return max((i + 1 for i, row in enumerate(depth.get("by_depth") or []) if row.get("pixels")), default=0)
+
+
 def _by_cap(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
-    found = [entry for entry in found if entry[2].get("by_cap")]
+    found = [entry for entry in found if _differ(entry[2].get("by_cap"))]
     for metric in ("abs_rel", "rmse", "a1") if found else ():
         curves = [
             (label, colour, [row["cap"] for row in depth["by_cap"]], [row.get(metric) for row in depth["by_cap"]])
@@ -55,8 +65,9 @@ def _by_cap(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
 
 
 def _by_distance(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
-    bins = [(label, colour, depth["by_depth"]) for label, colour, depth in found if depth.get("by_depth")]
-    for metric in ("abs_rel", "rmse") if bins else ():
+    filled = max((_filled(depth) for *_, depth in found), default=0)
+    bins = [(label, colour, depth["by_depth"][:filled]) for label, colour, depth in found if depth.get("by_depth")]
+    for metric in ("abs_rel", "rmse") if bins and filled > 1 else ():
         title = TITLES[metric]
         figure = bin_figure(f"{title} by distance", bins, metric)
         yield Curve(f"{metric}-by-distance", f"{title} by true depth", figure)
@@ -65,7 +76,7 @@ def _by_distance(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve
 def _by_loop(run: Run) -> Iterator[Curve]:
     """Yield the paper's curves: metrics over the loops, one line per cap."""
     found = [(loop.get("depth") or {}).get("by_cap") or [] for loop in run.loops]
-    caps = list(dict.fromkeys(row["cap"] for rows in found for row in rows))
+    caps = list(dict.fromkeys(row["cap"] for rows in found for row in rows if _differ(rows)))
     for metric in ("abs_rel", "sq_rel", "rmse") if len(found) > 1 and caps else ():
         curves = {
             f"{cap:g} m": [next((row.get(metric) for row in rows if row["cap"] == cap), None) for rows in found]

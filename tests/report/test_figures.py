@@ -1,3 +1,6 @@
+import base64
+import json
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -5,7 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prgbd.report import drawing, figures
+from prgbd.report.drawing import INK
 from prgbd.report.figures import Path3D, Timeline
+from prgbd.report.interactive import Cloud, view_html
 from prgbd.report.pictures import UNKNOWN, depth_picture, depth_rows, error_picture, relative_error, thicken, to_jpeg
 from prgbd.report.reading import DepthSamples
 from tests.report.fake_run import true_poses
@@ -146,3 +151,13 @@ def test_jpeg_is_rgb_and_no_wider_than_asked():
     back = cv2.imdecode(np.frombuffer(to_jpeg(picture, 45), np.uint8), cv2.IMREAD_COLOR)
     assert back.shape == (15, 45, 3)
     assert back[..., 2].mean() > 200 > 60 > back[..., 0].mean()
+
+
+@pytest.mark.parametrize(("reach", "kept"), [(1.0, 4), (0.1, 4), (0.001, 0)])
+def test_a_camera_that_turns_on_the_spot_keeps_its_map(reach, kept):
+    path = Path3D("loop", np.arange(2), reach * np.array([[0.0, 0, 0], [1, 0, 0]]), INK)
+    points = np.array([[1.0, 0, 1], [0, 0, 1.2], [-1, 0, 1.1], [0.5, 0, 1], [0, 0, 900], [np.nan, 0, 0]])
+    html = view_html([path], [Cloud("loop", points, np.zeros((6, 3), np.uint8))], (0, 2), "m", "map")
+    scene = json.loads(re.search(r"<script[^>]*>(.*)</script>", html)[1])
+    found = [np.frombuffer(base64.b64decode(cloud["xyz"]), "<i2") for cloud in scene["clouds"]]
+    assert sum(len(numbers) for numbers in found) == 3 * kept

@@ -8,6 +8,7 @@ from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.files import read_json, write_json
 from prgbd.report.__main__ import main
 from prgbd.report.print_figures import all_figures, write_figures
+from prgbd.report.range_figures import range_curves
 from prgbd.report.reading import open_run
 from tests.report.fake_run import make_run
 
@@ -63,3 +64,13 @@ def test_what_cannot_be_drawn_is_said(run_with_baseline, tmp_path, capsys):
         write_figures(tmp_path)
     assert main([str(run_with_baseline), "--figures", "gif"]) == 2
     assert "choose pdf, png, svg" in capsys.readouterr().err
+
+
+def test_in_a_room_there_is_nothing_to_draw_by_range(run_with_baseline):
+    run = open_run(run_with_baseline)
+    assert {curve.name for curve in range_curves(run)} >= {"rmse-by-cap", "rmse-by-distance", "rmse-by-loop"}
+    for loop in run.loops:
+        depth = loop["depth"]
+        depth["by_cap"] = [{**depth["by_cap"][0], "cap": cap} for cap in (30, 80)]
+        depth["by_depth"] = [{**row, "pixels": 9 if i == 0 else 0} for i, row in enumerate(depth["by_depth"])]
+    assert range_curves(run) == []

@@ -65,6 +65,14 @@ def test_the_loops_table_has_the_figures_of_the_summary(run_folder):
     assert "3 images" in table.note
 
 
+def test_the_benchmark_is_explained_where_it_has_figures(run_folder):
+    summary = read_json(run_folder / "summary.json")
+    assert "Rel Tr" in pose_table(summary).note
+    for loop in summary["loops"]:
+        loop["pose"]["street-a"] |= {"kitti_translation_percent": None, "kitti_rotation_deg_per_m": None}
+    assert "Rel Tr" not in pose_table(summary).note  # too short for its segments
+
+
 def test_the_paper_stands_beside_its_own_sequences_only(run_folder):
     summary = read_json(run_folder / "summary.json")
     assert not any("paper" in str(row[0]) for row in pose_table(summary).rows + depth_table(summary).rows)

@@ -22,11 +22,16 @@ def run(job: Job) -> None:
     figures = job.store.step("pretrain", lambda: _train(job, options))
     # What is evaluated is what was stored, be it in half precision or by a run that was stopped after the training.
     estimator.load_weights(job.store.path("weights"))
-    before, after = figures["held_out_before"], figures["held_out_after"]
-    job.display.say(f"  {figures['steps']} steps: held-out loss {before} -> {after}; weights in RUN/weights")
+    before, after = (_loss(figures[key]) for key in ("held_out_before", "held_out_after"))
+    weights = job.store.path("weights")
+    job.display.say(f"  {figures['steps']} steps: held-out loss {before} -> {after}; weights in {weights}")
     tested = job.parts.test_sequences or job.parts.sequences
     samples = {**figures, "samples": figures["train_samples"]}
     report(job, evaluate(job, [make_sensor(job, sequence) for sequence in tested], training=samples))
+
+
+def _loss(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.5f}"
 
 
 def _train(job: Job, weight_options: dict[str, bool]) -> dict[str, Any]:

@@ -92,7 +92,7 @@ class TrajectoryView {
   }
 
   limited(zoom) {
-    return Math.min(80, Math.max(0.2, zoom));
+    return Math.min(80, Math.max(0.02, zoom));
   }
 
   scaleBy(factor) {
