@@ -77,7 +77,14 @@ def test_auto_means_a_sensor_or_a_network_by_the_mode() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("depth_sigma", -0.1), ("depth_sigma", "much"), ("depth_shared", 0.5), ("depth_fallback", "no")]
+    ("name", "value"),
+    [
+        ("depth_sigma", -0.1),
+        ("depth_sigma", "much"),
+        ("depth_shared", 0.5),
+        ("depth_fallback", "no"),
+        ("keyframe_outliers", "no"),
+    ],
 )
 def test_a_bad_value_is_named(name, value) -> None:
     with pytest.raises(ConfigError, match=name):

@@ -49,3 +49,23 @@ def test_a_thin_map_gets_keyframes(inliers: int, share: float, wanted: bool) -> 
     settings = Settings(keyframe_thin_mono=share)
     frame = TrackedFrame(4, 0.4, 4, features())
     assert needs_keyframe(world, rig, settings, frame, inliers, 3, 1, 10.0) is wanted
+
+
+@pytest.mark.parametrize(
+    ("inliers", "share", "wanted"),
+    [(45, 0.25, True), (45, 0.0, False), (55, 0.25, False), (15, 0.25, False)],
+    ids=["few of all that it holds", "as ORB-SLAM2", "enough", "too few to trust"],
+)
+def test_points_that_the_reference_alone_sees_are_expected_too(inliers: int, share: float, wanted: bool) -> None:
+    # All of the last keyframe's keypoints have points, but it shares a few with the others, so that few are expected.
+    world = Map(KEYPOINTS, 1, np.ones(1))
+    for k in range(4):
+        points = np.full(KEYPOINTS, -1, np.int64)
+        if k:
+            points[:20] = world.points_of(0)[:20]
+        world.add_keyframe(k, 0.1 * k, np.eye(4), features(), points)
+        fresh = np.flatnonzero(world.points_of(k) < 0)
+        world.add_points(k, fresh, np.zeros((len(fresh), 3)))
+    rig = Rig(PinholeCamera(640, 480, 500.0, 500.0, 320.0, 240.0), False, 40.0, 3.2, np.ones(1), 1)
+    frame = TrackedFrame(4, 0.4, 4, features())
+    assert needs_keyframe(world, rig, Settings(), frame, inliers, 3, 1, 10.0, held_share=share) is wanted

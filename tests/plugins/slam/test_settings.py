@@ -65,3 +65,16 @@ def test_reset_refuses_what_cannot_work() -> None:
             system.reset(camera, "rgbd", baseline=baseline)
     with pytest.raises(ConfigError, match="frame rate"):
         system.reset(camera, "mono", fps=0.0)
+
+
+def test_keyframes_leave_refuted_matches_out_where_a_sensor_measures_depth() -> None:
+    taken = {mode: Settings().takes_outliers(mode) for mode in ("mono", "pseudo_rgbd", "stereo", "rgbd")}
+    assert taken == {"mono": True, "pseudo_rgbd": True, "stereo": False, "rgbd": False}
+    assert Settings(keyframe_outliers=True).takes_outliers("rgbd")
+    assert not Settings(keyframe_outliers=False).takes_outliers("mono")
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
+def test_a_share_of_points_is_a_share(share: float) -> None:
+    with pytest.raises(ConfigError, match="keyframe_held"):
+        Settings(keyframe_held=share)

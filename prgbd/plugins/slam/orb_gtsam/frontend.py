@@ -46,6 +46,7 @@ class FrontEnd:
         backend: The mapper's side.
         watch: Gathers stage times.
         fps: Frame rate, for the keyframe decision.
+        keyframe_outliers: Whether matches that a frame's pose refutes go along into its keyframe.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class FrontEnd:
         backend: MappingBackend,
         watch: Stopwatch,
         fps: float,
+        keyframe_outliers: bool = True,
     ) -> None:
         self.tracker, self.relocaliser, self.starter = tracker, relocaliser, starter
         self.backend, self.watch = backend, watch
@@ -63,6 +65,7 @@ class FrontEnd:
         self.history = History()
         self.depth_agreements: list[DepthAgreement] = []
         self._fps = fps
+        self._keyframe_outliers = keyframe_outliers
         self._started = False
         # Lost frames in a row, those of them that showed something, and whether a new map is being tried.
         self._lost, self._unknown, self._restarting = 0, 0, False
@@ -135,7 +138,7 @@ class FrontEnd:
         keyframe = self._wants_keyframe(frame, inliers)
         if keyframe:
             # If outliers go along, bundle adjustment, not one frame, decides about them.
-            if not self.settings.keyframe_outliers:
+            if not self._keyframe_outliers:
                 frame.drop_outliers()
             k = self.backend.mapper.add_keyframe(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
             tracker.reference, self._last_keyframe = k, frame.ordinal
@@ -162,6 +165,7 @@ class FrontEnd:
             frame.ordinal - self._last_keyframe,
             self._fps,
             outliers if unmapped else None,
+            0.0 if self._keyframe_outliers else self.settings.keyframe_held,
         )
 
     def _found(self) -> None:

@@ -24,6 +24,7 @@ def needs_keyframe(
     since_last: int,
     fps: float,
     doubtful: NDArray[np.bool_] | None = None,
+    held_share: float = 0.0,
 ) -> bool:
     """Decide as ORB-SLAM2 does (Tracking::NeedNewKeyFrame) with a mapper that is always idle.
 
@@ -38,10 +39,12 @@ def needs_keyframe(
         fps: Frame rate.
         doubtful: (N,) bool keypoints of the reference keyframe whose points are not to be expected: a keyframe gets
             its frame's outliers along, and bundle adjustment may not have seen it yet.
+        held_share: A frame with fewer inliers than this share of all points of the reference keyframe becomes one.
     """
     keyframes = len(world.alive())
     least = 3 if keyframes > 2 else 2
-    counts = world.observation_counts(world.points_of(reference), double=not rig.mono)
+    points = world.points_of(reference)
+    counts = world.observation_counts(points, double=not rig.mono)
     known = counts >= least
     expected = int(np.count_nonzero(known if doubtful is None else known & ~doubtful))
     needs_close = not rig.mono and _needs_close_points(rig, settings, frame)
@@ -53,8 +56,12 @@ def needs_keyframe(
     weak = not rig.mono and (inliers < _WEAK_SHARE * expected or needs_close)
     # A map that grows too slowly for the motion has few points that three keyframes see, so little is expected.
     thin = rig.mono and inliers < settings.keyframe_thin_mono * len(frame.features)
+    # A keyframe without its frame's outliers has a fresh point in place of each, which it alone sees: found again, it
+    # counts among the inliers, but not among what is expected. So the expected points alone would ask too late.
+    sparse = inliers < held_share * int(np.count_nonzero(points >= 0))
     due = overdue or mapper_is_ready or weak
-    return due and (inliers < ratio * expected or needs_close or thin) and inliers > settings.keyframe_min_inliers
+    wanted = inliers < ratio * expected or needs_close or thin or sparse
+    return due and wanted and inliers > settings.keyframe_min_inliers
 
 
 def _needs_close_points(rig: Rig, settings: Settings, frame: TrackedFrame) -> bool:

@@ -62,7 +62,10 @@ class Settings:
         keyframe_min_interval: Fewest frames between two keyframes, unless tracking is weak or close points are needed.
         keyframe_points: At least this many of the closest points are created with a keyframe.
         keyframe_outliers: Whether matches that a frame's pose refutes go along into its keyframe, for bundle adjustment
-            to decide about them (ORB-SLAM2). Mono and pseudo depth need them; with a sensor's depth false was better.
+            to decide about them (ORB-SLAM2), or "auto": in mono and with pseudo depth, which need them, but not where
+            a sensor or a second camera measures depth, where it was better to leave them out.
+        keyframe_held: Where outliers stay out of keyframes, insert as well when inliers fall below this share of all
+            points that the reference keyframe holds; 0 as ORB-SLAM2.
         neighbours: Covisible keyframes for triangulation and fusion (mono: ``neighbours_mono``).
         neighbours_mono: The same for mono.
         covisible_weight: Common points that make two keyframes neighbours.
@@ -146,7 +149,8 @@ class Settings:
     keyframe_close_untracked: int = 70
     keyframe_min_interval: int = 0
     keyframe_points: int = 100
-    keyframe_outliers: bool = True
+    keyframe_outliers: bool | str = "auto"
+    keyframe_held: float = 0.25
     neighbours: int = 10
     neighbours_mono: int = 20
     covisible_weight: int = 15
@@ -197,6 +201,8 @@ class Settings:
                 f"slam.scale_factor must exceed 1 and slam.levels lie in 1..16, got "
                 f"{self.scale_factor} and {self.levels}."
             )
+        if not 0 <= self.keyframe_held <= 1:
+            raise ConfigError(f"slam.keyframe_held must lie in 0..1, got {self.keyframe_held}.")
         if not 0 < self.fast_threshold_low <= self.fast_threshold < 255:
             raise ConfigError(
                 "slam.fast_threshold_low must be positive and at most slam.fast_threshold (< 255), got "
@@ -213,8 +219,14 @@ class Settings:
             number = isinstance(value, int | float) and not isinstance(value, bool)
             if value != "auto" and not (number and np.isfinite(value) and value >= least):
                 raise ConfigError(f"slam.{name} must be 'auto' or a number of at least {least}, got {value!r}.")
-        if self.depth_fallback not in ("auto", True, False):
-            raise ConfigError(f"slam.depth_fallback must be 'auto', true or false, got {self.depth_fallback!r}.")
+        for name in ("depth_fallback", "keyframe_outliers"):
+            if (value := getattr(self, name)) not in ("auto", True, False):
+                raise ConfigError(f"slam.{name} must be 'auto', true or false, got {value!r}.")
+
+    def takes_outliers(self, mode: str) -> bool:
+        """Say whether keyframes take refuted matches along in a mode of the system."""
+        auto = self.keyframe_outliers == "auto"
+        return mode not in ("rgbd", "stereo") if auto else bool(self.keyframe_outliers)
 
     def depth_noise(self, *, pseudo: bool, features: int) -> DepthNoise:
         """Return the noise of a sensor's depth, or of ``pseudo`` depth, for so many features in a frame."""

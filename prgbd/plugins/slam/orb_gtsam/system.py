@@ -116,7 +116,9 @@ class OrbGtsamSLAM(GeometricSLAM):
             TwoViewStarter(settings, self._rig, mapper, least, seed) if self._rig.mono else DepthStarter(mapper, least)
         )
         tracker = Tracker(settings, self._rig, self._map, self._near)
-        self._frontend = FrontEnd(tracker, Relocaliser(tracker, self._places), starter, self._backend, self._watch, fps)
+        relocaliser = Relocaliser(tracker, self._places)
+        outliers = settings.takes_outliers(mode)
+        self._frontend = FrontEnd(tracker, relocaliser, starter, self._backend, self._watch, fps, outliers)
         self._ready = True
 
     def track(self, frame: Frame) -> TrackingResult:
