@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from contextlib import contextmanager
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,7 @@ class CheckedSLAM(GeometricSLAM):
         self._mode = ""
         self._frames = 0
         self._last = -np.inf
+        self._index: int | None = None
 
     def __getattr__(self, name: str) -> Any:
         if name == "unwrapped":
@@ -103,6 +105,7 @@ class CheckedSLAM(GeometricSLAM):
         with _named(self._who):
             self.unwrapped.reset(camera, mode, baseline=baseline, fps=fps, seed=seed)
         self._camera, self._mode, self._frames, self._last = camera, mode, 0, -np.inf
+        self._index = None
 
     def track(self, frame: Frame) -> TrackingResult:
         """See ``GeometricSLAM.track``."""
@@ -114,6 +117,10 @@ class CheckedSLAM(GeometricSLAM):
             f"Frame {frame.index}",
             f"has the time stamp {frame.timestamp:g} s, not later than the frame before ({self._last:g} s).",
         )
+        number = frame.index
+        if not isinstance(number, Integral) or (self._index is not None and number <= self._index):
+            before = "" if self._index is None else f", and the frame before was {self._index}"
+            raise ContractError(f"The caller of track gave the frame number {number!r}{before}; count frames upwards.")
         if self._mode in ("rgbd", "pseudo_rgbd") and frame.depth is None:
             raise ContractError(f"Frame {frame.index} has no depth, which mode '{self._mode}' needs; use mode 'mono'.")
         if self._mode == "stereo" and frame.right is None:
@@ -122,7 +129,7 @@ class CheckedSLAM(GeometricSLAM):
             result = self.unwrapped.track(frame)
         check_tracking_result(result, self._who)
         self._frames += 1
-        self._last = frame.timestamp
+        self._last, self._index = frame.timestamp, int(number)
         return result
 
     def finish(self) -> SlamResult:

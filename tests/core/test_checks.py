@@ -283,6 +283,18 @@ def test_ones_own_frames_are_refused_in_one_sentence(checked, camera, changes, w
         assert word in str(caught.value)
 
 
+@pytest.mark.parametrize("second", [0, -1, 0.5, "1"])
+def test_frames_are_numbered_upwards(checked, camera, second) -> None:
+    first, other = planar_scene(2)
+    checked.reset(camera, "rgbd", baseline=0.1)
+    checked.track(first)
+    with pytest.raises(ContractError, match=r"frame number .*, and the frame before was 0; count frames upwards"):
+        checked.track(replace(other, index=second))
+    checked.reset(camera, "rgbd", baseline=0.1)
+    checked.track(replace(first, index=np.int64(0)))
+    checked.track(replace(other, index=7))
+
+
 def test_a_camera_that_is_none_is_refused(checked) -> None:
     with pytest.raises(ContractError, match=r"tuple where a prgbd\.PinholeCamera"):
         checked.reset((320, 240), "mono")
