@@ -70,9 +70,7 @@ def load_slam_result(path: Path | str) -> SlamResult:
             arrays = {name: archive[name] for name in archive.files}
         return _result_from(arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise DataError(
-            f"{path} is not a whole SLAM result ({type(error).__name__}: {error}); delete it and run SLAM again."
-        ) from error
+        raise DataError(f"{path} is not a whole SLAM result; delete it and run SLAM again.") from error
 
 
 def _result_from(arrays: dict[str, NDArray[Any]]) -> SlamResult:
@@ -172,13 +170,17 @@ def write_slam_folder(
         frame: Returns the frame of a number; needed for ``colmap_images``.
 
     Raises:
-        ConfigError: If a format is unknown, or ``colmap_images`` is asked for without ``frame``.
+        ConfigError: If a format is unknown, ``colmap_images`` is asked for without ``frame``, or the folder cannot be
+            made.
     """
     formats = check_formats(formats)
     if "colmap_images" in formats and frame is None:
         raise ConfigError("The format colmap_images needs the frames; give frame=sequence.frame, or use colmap.")
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"The folder {folder} cannot be made ({error.strerror}); choose another.") from error
     keyframes = keyframe_trajectory(result.keyframes)
     if "tum" in formats:
         write_tum(result.trajectory, folder / "trajectory.tum")

@@ -224,3 +224,11 @@ def test_evo_gets_the_poses_and_an_empty_trajectory_is_named():
     np.testing.assert_array_equal(evo.timestamps, trajectory.timestamp)
     with pytest.raises(DataError, match="no poses"):
         to_evo(Trajectory.empty())
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=r"file cannot be made \(File exists\)"):
+        make_result().save(tmp_path / "file")
+    with pytest.raises(DataError, match="file is not a whole SLAM result; delete it"):
+        SlamResult.load(tmp_path / "file")
