@@ -79,8 +79,8 @@ class RunStore:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the whole run is done."""
-        return self.is_done(DONE)
+        """Whether the whole run is done, with its summary; one that is lost is written anew from the steps."""
+        return self.is_done(DONE) and self.path(SUMMARY).is_file()
 
     @property
     def has_begun(self) -> bool:

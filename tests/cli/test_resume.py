@@ -109,6 +109,14 @@ def test_stopped_after_any_step_and_resumed(run, cli, monkeypatch, step):
     assert without_times(json.loads(Path("run/summary.json").read_text())) == without_times(whole)
 
 
+def test_a_summary_that_was_lost_is_written_anew(run, cli):
+    whole = run("task.max_loops=0")
+    assert "nothing left to do" in cli("resume=run").out
+    Path("run/summary.json").unlink()
+    assert cli("resume=run").code == 0
+    assert without_times(json.loads(Path("run/summary.json").read_text())) == without_times(whole)
+
+
 def test_what_may_be_said_beside_resume(run, cli, monkeypatch):
     monkeypatch.setattr("prgbd.loop.store.RunStore.is_finished", False)
     run("task.max_loops=1", "seed=4")
