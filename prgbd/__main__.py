@@ -65,6 +65,9 @@ def _main(arguments: list[str]) -> int:
         print_help(make_console())
         return 0
     normalised = normalise(arguments)
+    for option in ("out", "resume"):
+        if (found := value_of(normalised, option)) is not None and not found.strip("'\" "):
+            raise ConfigError(f"{option}= is empty; name a folder, or leave it out.")
     resume_from = value_of(normalised, "resume")
     if resume_from is not None and resume_from.lower() not in ("null", "false", "no"):
         from prgbd.cli.resuming import resume

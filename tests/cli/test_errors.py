@@ -58,6 +58,8 @@ from tests.cli.conftest import FAKES
         (["trainer=gpu", *FAKES], ["trainer=gpu"]),
         (["trainer.devices=x", *FAKES], ["trainer", "devices"]),
         (["+trainer.max_steps_=1", *FAKES], ["trainer", "max_steps_"]),
+        (["out=", *FAKES], ["out= is empty"]),
+        (["resume=''"], ["resume= is empty"]),
         (["out=/proc/run", *FAKES], ["/proc/run", "out="]),
         (["sensing.cache=/proc/cache", *FAKES], ["sensing.cache=/proc/cache"]),
         (["sensing.precision=half", *FAKES], ["sensing.precision", "bfloat16"]),
