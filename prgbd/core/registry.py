@@ -114,12 +114,27 @@ class Registry:
         _check_kind(kind)
         found = {spec_id: spec for (k, spec_id), spec in self._specs.items() if k == kind}
         for entry in metadata.entry_points(group=f"prgbd.{kind}"):
-            origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "entry point"
+            origin = _origin(entry)
             target = entry.value.partition("[")[0].strip()  # what an extra of the package is written in
             spec = PluginSpec(kind, entry.name, target, _summary(entry), origin)
             if ID_PATTERN.match(entry.name):
                 found.setdefault(entry.name, spec)
         return list(found.values())
+
+    def shadowed(self, kind: str) -> list[str]:
+        """Return a sentence for each plug-in of an installed package that cannot be named, with the reason."""
+        known = {spec.id: spec for spec in self.specs(kind)}
+        found = []
+        for entry in metadata.entry_points(group=f"prgbd.{kind}"):
+            origin = _origin(entry)
+            if not ID_PATTERN.match(entry.name):
+                found.append(f"The {kind} plug-in '{entry.name}' of {origin} has a name that is no id; rename it.")
+            elif known[entry.name].origin != origin:
+                by = known[entry.name].origin
+                found.append(
+                    f"The {kind} plug-in '{entry.name}' of {origin} has an id that is taken ({by}); rename it."
+                )
+        return found
 
     def resolve(self, kind: str, plugin_id: str) -> PluginSpec:
         """Find a plug-in by id; an id without version means the newest version.
@@ -308,6 +323,9 @@ def _check_options(spec: PluginSpec, cls: type[Any], arguments: Mapping[str, Any
             raise ConfigError(
                 f"The option {spec.kind}.{name} is {value!r}; the {spec.kind} plug-in '{spec.id}' takes {wanted} there."
             )
+    absent = [f"{spec.kind}.{n}" for n, p in known.items() if p.default is p.empty and n not in arguments]
+    if absent:
+        raise ConfigError(f"The {spec.kind} plug-in '{spec.id}' needs the option {' and '.join(absent)}; set it.")
 
 
 def _wanted_number(annotation: Any, value: Any) -> str:
@@ -323,6 +341,10 @@ def _wanted_number(annotation: Any, value: Any) -> str:
         return "a whole number" if "float" not in types else "a number"
     fraction = "float" not in types and isinstance(value, Real) and not isinstance(value, Integral)
     return "a whole number" if fraction else ""
+
+
+def _origin(entry: metadata.EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "entry point"
 
 
 def _summary(entry: metadata.EntryPoint) -> str:

@@ -100,6 +100,8 @@ def _list(console: Console, kinds: tuple[str, ...]) -> None:
         for spec in sorted(specs(kind), key=lambda s: (s.origin != "built-in", s.id)):
             table.add_row(spec.id, escape(spec.description), escape(spec.origin), escape(_extra(spec)))
         console.print(table)
+        for sentence in REGISTRY.shadowed(kind):
+            console.print(sentence, style="yellow", markup=False, highlight=False)
         console.print()
     console.print("Use one with  python -m prgbd slam=ID depth=ID data=ID", style="dim")
     console.print("Check one with  python -m prgbd.plugins check ID [OPTION=VALUE ...]", style="dim", markup=False)

@@ -5,7 +5,8 @@ import pytest
 
 import prgbd
 from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, UnknownPluginError
-from prgbd.core.registry import PluginSpec, Registry, parse_id
+from prgbd.core.registry import REGISTRY, PluginSpec, Registry, parse_id
+from prgbd.plugins.__main__ import main as list_plugins
 
 
 def spec(plugin_id: str, target: str = "tests.core.plugins:Constant", kind: str = "depth", **kwargs) -> PluginSpec:
@@ -167,3 +168,23 @@ def test_numbers_of_other_types_and_none_are_numbers(registry) -> None:
     registry.register(spec("net"))
     assert registry.make("depth", "net", value=np.float32(3)).value == 3
     assert registry.make("depth", "net", value=3).value == 3
+
+
+def test_an_option_that_is_needed_is_named(registry) -> None:
+    for make in (prgbd.make_data, prgbd.make_sequences):
+        with pytest.raises(ConfigError, match=r"'images' needs the option data\.root; set it"):
+            make("images", fov=60)
+
+
+def test_plugins_of_packages_that_cannot_be_named_are_told(monkeypatch, tmp_path, capsys) -> None:
+    info = tmp_path / "clash-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: clash\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[prgbd.depth]\nmonodepth2 = a:B\nno id! = a:B\nclash/fine = a:B\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    told = REGISTRY.shadowed("depth")
+    assert len(told) == 2
+    assert "'monodepth2' of clash 1 has an id that is taken (built-in)" in told[0]
+    assert "'no id!' of clash 1" in told[1]
+    assert list_plugins(["depth"]) == 0
+    assert told[0] in capsys.readouterr().out
