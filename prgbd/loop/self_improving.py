@@ -121,7 +121,7 @@ class SelfImprovingLoop:
         if stop["reason"]:
             self.monitor.say(f"Stop: {stop['reason']}")
         self._keep_best(stop["best_loop"])
-        seconds = sum(entry["seconds"] for entry in loops)
+        seconds = sum(entry["seconds"] + (entry["training"] or {}).get("seconds", 0.0) for entry in loops)
         return write_summary(
             self.store, self.identity, self.all_sequences, loops, stop=stop, seconds=seconds, more=self.more
         )

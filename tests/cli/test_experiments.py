@@ -103,3 +103,9 @@ def test_the_first_teacher_learns_nothing_from_test_recordings(run, tmp_path):
     (mono,) = summary["baselines"]
     assert set(mono["pose"]) == {"00", "10"}  # the one teaches, the other is compared with
     assert summary["loops"][0]["training"]["keyframes"] == mono["pose"]["00"]["keyframes"]
+
+
+def test_the_time_of_a_run_holds_that_of_its_trainings(run):
+    summary = run("task.max_loops=1", "task.min_improvement=null")
+    parts = [loop["seconds"] for loop in summary["loops"]]
+    assert summary["seconds"] == pytest.approx(sum(parts) + summary["loops"][0]["training"]["seconds"])
