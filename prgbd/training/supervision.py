@@ -137,23 +137,25 @@ def measured_gap(result: SlamResult) -> int:
         result: SLAM's output; its scale does not matter.
 
     Returns:
-        The fewest frames, at most 15, in which half of the keyframes move by 1.5 % of the median depth of their points;
-        1 where there is nothing to measure.
+        The fewest frames in which half of the keyframes move by 1.5 % of the median depth of their points; at most 15,
+        and at most as many as half of the keyframes have before the recording, or its tracking, ends.
     """
     keyframes, trajectory, seen = result.keyframes, result.trajectory, result.observations
     local = points_in_camera(keyframes.wTc[seen.keyframe], result.points.xyz[seen.point])[:, 2]
     depth = np.array([np.median(local[seen.keyframe == row]) for row in np.unique(seen.keyframe)])
     frames = keyframes.frame_index[np.unique(seen.keyframe)]
+    if not len(frames):
+        return 1
     for gap in range(1, _WIDEST_GAP + 1):
         rows = np.searchsorted(trajectory.frame_index, np.stack([frames, frames + gap]))
         rows = np.minimum(rows, len(trajectory) - 1)
         known = (trajectory.frame_index[rows] == np.stack([frames, frames + gap])).all(axis=0) & (depth > 0)
-        if not known.any():
-            continue
+        if known.mean() < 0.5:
+            return max(1, gap - 1)
         ends = trajectory.wTc[rows[:, known], :3, 3]
         if np.median(np.linalg.norm(ends[1] - ends[0], axis=1) / depth[known]) >= _ADJACENT_PARALLAX:
             return gap
-    return _WIDEST_GAP if len(frames) else 1
+    return _WIDEST_GAP
 
 
 def parallax(keyframes: Keyframes, points: MapPoints, seen: Observations) -> Floats:

@@ -113,6 +113,13 @@ def test_the_measured_gap_follows_the_motion(step, gap):
         assert found.adjacent.tolist() == [found.current - gap, found.current + gap]
 
 
+def test_the_measured_gap_leaves_a_short_recording_its_samples():
+    """Fifteen frames on, none of its keyframes has a frame; four on, half of them do."""
+    result = true_slam_result(WallSequence(9, step=0.0001))
+    assert supervision.measured_gap(result) == 5
+    assert supervision.measured_gap(true_slam_result(WallSequence(48, step=0.0001), lost=range(1, 48, 2))) == 1
+
+
 def test_nothing_to_measure_is_a_gap_of_one(result):
     seen = result.observations
     blind = Observations(seen.keyframe[:0], seen.point[:0], seen.uv[:0], seen.depth[:0])
