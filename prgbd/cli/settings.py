@@ -226,8 +226,8 @@ def baselines(config: Mapping[str, Any]) -> list[str]:
     value = config["task"].get("baselines") or []
     if not isinstance(value, list | tuple) or not set(value) <= set(BASELINES):
         raise ConfigError(f"task.baselines is {value!r}; give a list of {' and '.join(BASELINES)}, such as [mono].")
-    taught = ["mono"] if config["task"].get("first_teacher") == "mono" else []
-    return [str(name) for name in dict.fromkeys([*value, *taught])]
+    teacher = ["mono"] if config["task"].get("first_teacher") == "mono" else []
+    return [str(name) for name in dict.fromkeys([*value, *teacher])]
 
 
 def alignment(config: Mapping[str, Any]) -> str:
