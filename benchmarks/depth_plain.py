@@ -68,8 +68,8 @@ class PlainStep:
         total = target.new_zeros(())
         for scale, disparity in enumerate(prediction.disparities):
             full = F.interpolate(disparity, size, mode="bilinear", align_corners=False)
-            near, far = self.network.depth_range
-            depth = 1 / (1 / far + (1 / near - 1 / far) * full)
+            covisibility, far = self.network.depth_range
+            depth = 1 / (1 / far + (1 / covisibility - 1 / far) * full)
             warps = [warped(s, depth, K, T) for s, T in zip((earlier, later), motions, strict=True)]
             errors = torch.cat([photometric(w, target) for w in warps], dim=1)
             still = torch.cat([photometric(s, target) for s in (earlier, later)], dim=1)

@@ -37,8 +37,10 @@ _HOMES = {
         "register_depth",
         "register_slam",
     ),
-    "prgbd.core.conformance": ("check_depth_estimator", "check_sequence", "check_slam"),
+    "prgbd.core.testing.conformance": ("check_depth_estimator", "check_sequence", "check_slam"),
     "prgbd.core.errors": ("PrgbdError",),
+    "prgbd.io.export": ("load_result", "save_result"),
+    "prgbd.io.trajectory_files": ("to_evo",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -63,6 +65,7 @@ __all__ = [
     "check_depth_estimator",
     "check_sequence",
     "check_slam",
+    "load_result",
     "make_data",
     "make_depth",
     "make_sequences",
@@ -70,10 +73,11 @@ __all__ = [
     "register_data",
     "register_depth",
     "register_slam",
+    "save_result",
+    "to_evo",
 ]
 
 if TYPE_CHECKING:
-    from prgbd.core.conformance import check_depth_estimator, check_sequence, check_slam
     from prgbd.core.data import Sequence
     from prgbd.core.depth import DepthEstimator
     from prgbd.core.errors import PrgbdError
@@ -88,6 +92,7 @@ if TYPE_CHECKING:
         register_slam,
     )
     from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
+    from prgbd.core.testing.conformance import check_depth_estimator, check_sequence, check_slam
     from prgbd.core.types import (
         DepthPrediction,
         Frame,
@@ -99,6 +104,8 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from prgbd.core.wrappers import DepthWrapper
+    from prgbd.io.export import load_result, save_result
+    from prgbd.io.trajectory_files import to_evo
 
 
 def __getattr__(name: str) -> Any:

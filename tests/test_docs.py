@@ -133,9 +133,9 @@ def test_the_result_of_the_example_is_a_trajectory(place, monkeypatch, plugins, 
     """The numbers that docs/slam.md prints make sense: the frames have poses, and the first is found in its map."""
     test_python_runs(ROOT / "docs" / "slam.md", place, plugins, monkeypatch, capsys)
     assert "of 40 frames have a pose" in capsys.readouterr().out
-    result = prgbd.SlamResult.load(place / "out")
+    result = prgbd.load_result(place / "out")
     assert result.tracked_frames > 30
-    assert np.isfinite(result.to_evo().positions_xyz).all()
+    assert np.isfinite(prgbd.to_evo(result.trajectory).positions_xyz).all()
 
 
 def test_the_calibration_of_the_example_is_right(place, monkeypatch, plugins, capsys):

@@ -19,7 +19,7 @@ from prgbd.cli.display import Display, complain, log_file, quiet
 from prgbd.cli.parts import Parts, make_parts
 from prgbd.cli.settings import check_settings
 from prgbd.core.errors import PrgbdError
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
 
 log = logging.getLogger("prgbd")
@@ -144,7 +144,7 @@ def _run(job: Job) -> None:
 
 def _look_at_recordings(job: Job, task: str) -> None:
     """Say in two lines what a recording that SLAM or training will use looks like."""
-    from prgbd.core.preflight import preflight
+    from prgbd.tools.preflight import preflight
 
     if task not in ("self_improve", "slam", "pretrain"):
         return

@@ -201,7 +201,7 @@ def export_formats(config: Mapping[str, Any]) -> tuple[str, ...]:
     Raises:
         ConfigError: If one is unknown.
     """
-    from prgbd.core.export import DEFAULT_FORMATS, check_formats
+    from prgbd.io.export import DEFAULT_FORMATS, check_formats
 
     return check_formats(config.get("export", DEFAULT_FORMATS) or ())
 

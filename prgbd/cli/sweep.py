@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from prgbd.cli.display import complain, make_console
 from prgbd.core.errors import PrgbdError
-from prgbd.core.files import read_json, write_json
+from prgbd.io.files import read_json, write_json
 
 ERROR = "error.json"
 

@@ -7,9 +7,8 @@ Pixel (u, v) has integers at pixel *centres*. Images are RGB. Large sets are col
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from prgbd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     import torch
-    from evo.core.trajectory import PoseTrajectory3D
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.integer[Any]]
@@ -267,45 +265,6 @@ class SlamResult:
     def tracked_frames(self) -> int:
         """Number of frames with a pose."""
         return len(self.trajectory)
-
-    def to_evo(self) -> PoseTrajectory3D:
-        """Return the trajectory as evo's ``PoseTrajectory3D``, with camera-to-world poses and seconds.
-
-        Raises:
-            DataError: If no frame has a pose.
-        """
-        from prgbd.core.trajectory_files import to_evo
-
-        return to_evo(self.trajectory)
-
-    def save(self, folder: Path | str, formats: Iterable[str] | None = None) -> None:
-        """Write the result into ``folder``: everything for ``load``, and files for other programs.
-
-        Args:
-            folder: The folder; made if needed, and files of the same name are replaced.
-            formats: Any of ``tum, kitti, ply, colmap``; None writes the first three.
-
-        Raises:
-            ConfigError: If a format is unknown.
-        """
-        from prgbd.core.export import DEFAULT_FORMATS, write_slam_folder
-
-        write_slam_folder(self, folder, DEFAULT_FORMATS if formats is None else formats)
-
-    @classmethod
-    def load(cls, path: Path | str) -> SlamResult:
-        """Read what ``save`` wrote, or the folder ``loops/00/slam/SEQUENCE`` of a run.
-
-        Args:
-            path: The folder, or its ``result.npz``.
-
-        Raises:
-            DataError: If there is no whole result.
-        """
-        from prgbd.core.export import load_slam_result
-
-        path = Path(path)
-        return load_slam_result(path / "result.npz" if path.is_dir() else path)
 
 
 @dataclass(frozen=True)

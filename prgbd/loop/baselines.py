@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from prgbd.core.data import Sequence
-from prgbd.core.export import load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
+from prgbd.io.export import load_result, save_result
 from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
@@ -69,7 +69,7 @@ def localise(
         given = sensor_input(sequence, "mono", None)
         result = run_slam(make_slam, sequence, given, seed=settings.seed, monitor=monitor)
         with store.new_folder(store.path(_folder(kind), "slam", sequence.name)) as target:
-            write_slam_folder(result, target, settings.export, frame=sequence.frame)
+            save_result(result, target, settings.export, frame=sequence.frame)
         return pose_figures(result, sequence, settings.alignment)
 
     figures: dict[str, Any] = store.step(f"{_folder(kind)}/slam/{sequence.name}", work)
@@ -78,7 +78,7 @@ def localise(
 
 def baseline_result(kind: str, sequence: Sequence, store: RunStore) -> SlamResult:
     """Read what ``localise`` left in the store."""
-    return load_slam_result(store.path(_folder(kind), "slam", sequence.name, "result.npz"))
+    return load_result(store.path(_folder(kind), "slam", sequence.name, "result.npz"))
 
 
 def _folder(kind: str) -> str:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
-from prgbd.core.files import atomic_path
 from prgbd.evaluation.depth import CROPS, DEFAULT_CAP, DepthEvaluation
+from prgbd.io.files import atomic_path
 from prgbd.loop.sensing import DepthSensor
 
 SAMPLES = 6

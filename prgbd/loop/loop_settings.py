@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prgbd.core.computing import Computing
 from prgbd.core.errors import ConfigError
-from prgbd.core.export import DEFAULT_FORMATS
+from prgbd.io.export import DEFAULT_FORMATS
 from prgbd.loop.criterion import CRITERIA
 from prgbd.loop.depth_figures import DepthProtocol
 from prgbd.loop.slam_runs import MapFiles
@@ -37,7 +37,7 @@ class LoopSettings:
         depth: How depth is evaluated.
         alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
         seed: Seed of everything random.
-        export: Formats of SLAM's results, see ``prgbd.core.export.write_slam_folder``.
+        export: Formats of SLAM's results, see ``prgbd.io.export.save_result``.
         maps: Files of SLAM's maps; not with refinement, which changes the scale of the depth.
 
     Raises:

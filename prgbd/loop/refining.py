@@ -12,8 +12,8 @@ from lightning.pytorch.callbacks import Callback
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
-from prgbd.core.files import atomic_path
 from prgbd.core.types import SlamResult
+from prgbd.io.files import atomic_path
 from prgbd.loop.interrupts import interruptible
 from prgbd.loop.monitor import Monitor, Progress
 from prgbd.loop.store import RunStore

@@ -10,9 +10,9 @@ from typing import Any
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
-from prgbd.core.export import load_slam_result, write_slam_folder
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
+from prgbd.io.export import load_result, save_result
 from prgbd.loop.baselines import baseline_result, localise
 from prgbd.loop.criterion import compare, stop_reason
 from prgbd.loop.depth_figures import depth_figures, write_samples
@@ -249,7 +249,7 @@ class SelfImprovingLoop:
             save_map=self.settings.maps.target(self.store.folder, sequence.name),
         )
         with self.store.new_folder(self.store.loop(loop, "slam", sequence.name)) as folder:
-            write_slam_folder(result, folder, self.settings.export, frame=sequence.frame)
+            save_result(result, folder, self.settings.export, frame=sequence.frame)
         return pose_figures(result, sequence, self.settings.alignment)
 
     def _evaluate_depth(self, loop: int, sensors: list[DepthSensor], tests: list[DepthSensor]) -> dict[str, Any] | None:
@@ -292,7 +292,7 @@ class SelfImprovingLoop:
         return baseline_result("mono", sequence, self.store)
 
     def _result(self, loop: int, sequence: Sequence) -> SlamResult:
-        return load_slam_result(self.store.loop(loop, "slam", sequence.name, "result.npz"))
+        return load_result(self.store.loop(loop, "slam", sequence.name, "result.npz"))
 
     def _keep_best(self, loop: int) -> None:
         """Go back to the network that SLAM ran with in the best loop, and keep it."""

@@ -24,10 +24,10 @@ from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ContractError
-from prgbd.core.files import atomic_path, read_json, write_json
 from prgbd.core.slam import adaptive_baseline
+from prgbd.core.testing.validation import check_depth_shape
 from prgbd.core.types import Frame
-from prgbd.core.validation import check_depth_shape
+from prgbd.io.files import atomic_path, read_json, write_json
 from prgbd.loop.monitor import Monitor, SilentMonitor
 
 _SUBSAMPLING = 8

@@ -12,7 +12,7 @@ from typing import Any, TextIO
 from omegaconf import OmegaConf
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.files import atomic_path, read_json, to_plain, write_json
+from prgbd.io.files import atomic_path, read_json, to_plain, write_json
 
 try:
     import fcntl

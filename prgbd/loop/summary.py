@@ -9,9 +9,9 @@ from importlib import metadata
 from typing import Any
 
 from prgbd.core.data import Sequence
-from prgbd.core.files import write_json
-from prgbd.core.trajectory_files import write_tum
 from prgbd.core.types import Trajectory
+from prgbd.io.files import write_json
+from prgbd.io.trajectory_files import write_tum
 from prgbd.loop.store import SUMMARY, RunStore
 
 SCHEMA = 1

@@ -115,7 +115,7 @@ def _extra(spec: PluginSpec) -> str:
 
 def _check(console: Console, spec: PluginSpec, options: dict[str, Any]) -> int:
     """Run every check of a plug-in and print a line for each."""
-    from prgbd.core.conformance import checks_of
+    from prgbd.core.testing.conformance import checks_of
 
     console.print(f"{spec.kind} {spec.id} ({spec.origin})", style="bold", markup=False)
     if spec.kind == "data" and "sequence" not in options:

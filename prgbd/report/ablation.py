@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from prgbd.core.errors import DataError
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 from prgbd.report import tables
 from prgbd.report.paired import means_over_recordings, paired_differences
 from prgbd.report.paper import published_ablation, published_refinement

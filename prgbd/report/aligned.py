@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.alignment import Alignment, fit_alignment
-from prgbd.core.trajectory_files import match_times
 from prgbd.core.types import SlamResult, Trajectory
+from prgbd.io.trajectory_files import match_times
 from prgbd.report.drawing import BASELINE_COLOURS, loop_colours
 from prgbd.report.figures import Path3D, horizontal_axes
 from prgbd.report.interactive import Cloud

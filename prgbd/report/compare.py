@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prgbd.core.errors import DataError
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 from prgbd.report import ablation, figures, interactive, sections, tables
 from prgbd.report.aligned import align
 from prgbd.report.figures import Path3D

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 from prgbd.report import depth_sections, interactive, sections
 from prgbd.report.reading import Run, open_run, sum_pose
 from prgbd.report.style import CSS

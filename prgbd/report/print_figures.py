@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 from prgbd.report import depth_sections, figures, pictures
 from prgbd.report.aligned import aligned_sequence
 from prgbd.report.drawing import STYLE, new_figure, to_pdf, to_png, to_svg

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import DataError
-from prgbd.core.export import load_slam_result
-from prgbd.core.files import read_json
-from prgbd.core.trajectory_files import read_tum
 from prgbd.core.types import SlamResult, Trajectory
+from prgbd.io.export import load_result
+from prgbd.io.files import read_json
+from prgbd.io.trajectory_files import read_tum
 
 T = TypeVar("T")
 
@@ -84,7 +84,7 @@ class Run:
 
     def result(self, loop: dict[str, Any], sequence: str) -> SlamResult | None:
         """Return what SLAM found out about a sequence in a loop."""
-        return self._read(self.folder(loop) / "slam" / sequence / "result.npz", load_slam_result)
+        return self._read(self.folder(loop) / "slam" / sequence / "result.npz", load_result)
 
     def truth(self, sequence: str) -> Trajectory | None:
         """Return the true poses of a sequence."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 from prgbd.report.paper import published_depth, published_pose
 from prgbd.report.reading import loop_name, mean_pose, sum_pose
 from prgbd.report.rendering import Cell, Column, Table, to_csv, to_html, to_latex, to_markdown, to_rich

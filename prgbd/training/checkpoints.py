@@ -14,7 +14,7 @@ import lightning
 import torch
 from lightning.pytorch.callbacks import Callback, Checkpoint
 
-from prgbd.core.files import read_json, write_json
+from prgbd.io.files import read_json, write_json
 
 log = logging.getLogger(__name__)
 FILE = "last.ckpt"

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from prgbd.core.types import DepthPrediction
-from prgbd.training.similarity import moments, photometric_error
+from prgbd.training.image_similarity import moments, photometric_error
 from prgbd.training.warping import reprojection, resampled, sampling_grid
 
 TIE_BREAK = 1e-5

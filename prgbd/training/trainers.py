@@ -10,7 +10,7 @@ from typing import Any
 import lightning
 from lightning.pytorch.callbacks import Callback, RichProgressBar
 
-from prgbd.training.compilation import Compilation
+from prgbd.training.compile_callback import Compilation
 
 
 def make_trainer(

@@ -26,7 +26,7 @@ def test_an_experiment_passes_the_checks_with_the_paper_s_losses(name):
         1e-3,
     )
     assert config["task"]["max_loops"] == {"tum": 3, "ablation": 1}.get(name, 5)
-    header = (Path(__file__).parents[2] / f"prgbd/conf/experiment/{name}.yaml").read_text()
+    header = (Path(__file__).parents[2] / f"conf/experiment/{name}.yaml").read_text()
     assert f"experiment={name}" in header
 
 

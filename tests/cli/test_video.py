@@ -8,7 +8,6 @@ import cv2
 import pytest
 
 import prgbd
-from prgbd.core.types import SlamResult
 from prgbd.evaluation.trajectory import evaluate_trajectory
 
 FRAMES = 36
@@ -42,7 +41,7 @@ def test_a_film_of_a_drive_gives_a_trajectory_and_a_report(cli, drive):
     )
     assert answer.code == 0, answer.err
     assert Path("run/report.html").stat().st_size > 10_000
-    result = SlamResult.load("run/loops/00/slam/drive")
+    result = prgbd.load_result("run/loops/00/slam/drive")
     assert result.mode == "mono"
     assert result.tracked_frames >= 0.9 * FRAMES
     figures = evaluate_trajectory(result.trajectory, FRAMES, recording.poses, recording.timestamps, alignment="sim3")

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.trajectory_files import read_kitti, read_tum, to_evo
 from prgbd.core.types import Trajectory
 from prgbd.evaluation.trajectory import absolute_error, evaluate_trajectory, kitti_error, relative_error
+from prgbd.io.trajectory_files import read_kitti, read_tum, to_evo
 
 RELATIVE = 1e-4
 

@@ -140,7 +140,7 @@ def test_spoilt_depth_names_plugin_and_frame_and_leaves_nothing(tmp_path, cls):
 
 
 def test_the_passive_check_s_sentence_gains_the_frame(tmp_path):
-    from prgbd.core.passive import with_checks
+    from prgbd.core.testing.passive import with_checks
 
     class Negative(Tiny):
         def forward(self, images):

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prgbd.core.export import write_slam_folder
-from prgbd.core.files import write_json
-from prgbd.core.trajectory_files import write_tum
 from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
 from prgbd.evaluation.depth import DepthEvaluation
 from prgbd.evaluation.trajectory import evaluate_trajectory
+from prgbd.io.export import save_result
+from prgbd.io.files import write_json
+from prgbd.io.trajectory_files import write_tum
 
 HEIGHT, WIDTH, FRAMES = 48, 80, 150
 TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
@@ -119,7 +119,7 @@ def make_run(
         for s, name in enumerate(sequences):
             poses = true_poses(seed=s)
             result = slam_result(poses, timestamps, error, lost if k == 0 else (), seed=s + 10 * k)
-            write_slam_folder(result, base / "slam" / name)
+            save_result(result, base / "slam" / name)
             figures = evaluate_trajectory(result.trajectory, FRAMES, poses if truth else None, timestamps)
             counts = {
                 "keyframes": len(result.keyframes),

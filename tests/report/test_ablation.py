@@ -3,7 +3,7 @@ import csv
 import pytest
 
 from prgbd.core.errors import DataError
-from prgbd.core.files import read_json, write_json
+from prgbd.io.files import read_json, write_json
 from prgbd.report.__main__ import main
 from prgbd.report.ablation import ablation_tables, find_runs, join, run_labels
 from prgbd.report.paired import means_over_recordings, paired_differences

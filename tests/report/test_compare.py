@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from prgbd.core.files import read_json
+from prgbd.io.files import read_json
 from prgbd.report.__main__ import main
 from prgbd.report.compare import settings_table
 from tests.report.fake_run import make_run

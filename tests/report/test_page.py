@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import DataError
-from prgbd.core.files import read_json, write_json
+from prgbd.io.files import read_json, write_json
 from prgbd.report.__main__ import main
 from prgbd.report.page import LARGEST, render, write_report
 from prgbd.report.reading import open_run, read_losses

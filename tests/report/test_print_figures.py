@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.files import read_json, write_json
+from prgbd.io.files import read_json, write_json
 from prgbd.report.__main__ import main
 from prgbd.report.print_figures import all_figures, write_figures
 from prgbd.report.range_figures import range_curves

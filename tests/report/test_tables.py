@@ -4,7 +4,7 @@ import io
 import pytest
 from rich.console import Console
 
-from prgbd.core.files import read_json
+from prgbd.io.files import read_json
 from prgbd.report.paper import published_ablation, published_depth, published_pose
 from prgbd.report.tables import (
     Column,

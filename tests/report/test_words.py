@@ -2,7 +2,7 @@ import copy
 
 import pytest
 
-from prgbd.core.files import read_json
+from prgbd.io.files import read_json
 from prgbd.report.words import describe, held_out_change, number, pose_change
 
 

@@ -9,7 +9,7 @@ from torch import nn
 
 from prgbd import DepthEstimator, DepthPrediction, Frame, PinholeCamera, Sequence
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.planar_scene import planar_scene
+from prgbd.core.testing.planar_scene import planar_scene
 from prgbd.training.pretraining import DepthPretraining, augmented, pretrain
 from prgbd.training.pretraining_data import PretrainingData, Triplets, decode, image_motion
 from prgbd.training.pretraining_settings import PretrainingSettings

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import prgbd
-from prgbd.core.conformance import planar_scene
+from prgbd.core.testing.conformance import planar_scene
 
 
 def test_the_network_keeps_the_contract():

@@ -15,7 +15,7 @@ from prgbd.cli.option_values import number
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
-from prgbd.core.files import write_json
+from prgbd.io.files import write_json
 from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.sensing import DepthSensor
 from prgbd.loop.summary import write_summary

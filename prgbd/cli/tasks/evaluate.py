@@ -12,9 +12,9 @@ from prgbd.cli.tasks.depth import make_sensor
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.trajectory_files import read_kitti, read_tum
 from prgbd.core.types import Trajectory
 from prgbd.evaluation.trajectory import evaluate_trajectory
+from prgbd.io.trajectory_files import read_kitti, read_tum
 from prgbd.loop.summary import write_summary, write_truth
 
 

@@ -12,7 +12,7 @@ from prgbd.cli.job import Job
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
-from prgbd.core.export import write_slam_folder
+from prgbd.io.export import save_result
 from prgbd.loop.self_improving import SelfImprovingLoop, step_name
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
 from prgbd.loop.summary import write_summary, write_truth
@@ -89,5 +89,5 @@ def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
         save_map=maps.target(job.store.folder, sequence.name),
     )
     with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
-        write_slam_folder(result, folder, settings.export_formats(job.config), frame=sequence.frame)
+        save_result(result, folder, settings.export_formats(job.config), frame=sequence.frame)
     return pose_figures(result, sequence, str(job.config["evaluation"]["alignment"]))

@@ -13,9 +13,9 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from prgbd.core.calibration import can_estimate, estimate_camera
 from prgbd.core.errors import ConfigError, DataError, SlamError
 from prgbd.core.types import PinholeCamera
+from prgbd.plugins.data.calibration import can_estimate, estimate_camera
 
 log = logging.getLogger("prgbd")
 

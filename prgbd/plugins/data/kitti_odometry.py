@@ -115,7 +115,7 @@ def _check_complete(folder: Path) -> None:
     if absent:
         raise DataError(
             f"There is no file {folder / absent[0]}; it comes with the data set's calibration files "
-            "(data_odometry_calib.zip), see python -m prgbd.data prepare kitti_odometry."
+            "(data_odometry_calib.zip), see python -m prgbd.tools prepare kitti_odometry."
         )
 
 

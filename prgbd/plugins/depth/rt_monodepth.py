@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator, load_matching, read_state_dict
 from prgbd.core.errors import ConfigError, WeightsError
-from prgbd.core.files import atomic_path
 from prgbd.core.types import DepthPrediction
+from prgbd.io.files import atomic_path
 
 ENCODER, DEPTH = "encoder.pth", "depth.pth"
 EXTRA = ("height", "width", "use_stereo")

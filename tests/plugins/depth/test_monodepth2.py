@@ -11,8 +11,8 @@ import pytest
 import torch
 
 import prgbd
-from prgbd.core.conformance import check_depth_estimator
 from prgbd.core.errors import ConfigError, WeightsError
+from prgbd.core.testing.conformance import check_depth_estimator
 from prgbd.plugins.depth.monodepth2 import Monodepth2
 from prgbd.plugins.depth.monodepth2.decoder import Head, disparity_to_depth
 from prgbd.plugins.depth.monodepth2.pose import rigid_transform

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from prgbd.core.conformance import check_depth_estimator
 from prgbd.core.errors import ConfigError, WeightsError
+from prgbd.core.testing.conformance import check_depth_estimator
 from prgbd.plugins.depth.rt_monodepth import RTMonoDepth
 
 IMAGE = "kitti_raw/2011_09_26/2011_09_26_drive_0000_sync/image_02/data/0000000000.png"

@@ -26,34 +26,36 @@ class TestContract(SlamContract):
 
 
 @pytest.fixture(scope="module")
-def world():
+def slam_map():
     return prgbd.make_data("synthetic", sequence="indoor-0", frames=24, width=320, height=240)
 
 
-def reconstructed(world, mode, blank=(), told=None, **options):
+def reconstructed(slam_map, mode, blank=(), told=None, **options):
     with prgbd.make_slam("colmap", every=2, threads=1, **options) as system:
-        system.reset(world.camera, mode, baseline=None if mode == "mono" else 0.08, fps=world.fps)
+        system.reset(slam_map.camera, mode, baseline=None if mode == "mono" else 0.08, fps=slam_map.fps)
         system.listen(told)
-        for i in range(len(world)):
-            frame = world.frame(i)
+        for i in range(len(slam_map)):
+            frame = slam_map.frame(i)
             if i in blank:
                 frame = Frame(i, frame.timestamp, np.zeros_like(frame.image))
-            system.track(frame.with_depth(world.depth(i) if mode == "rgbd" else None))
+            system.track(frame.with_depth(slam_map.depth(i) if mode == "rgbd" else None))
         return system.finish()
 
 
 @pytest.fixture(scope="module")
-def measured(world):
+def measured(slam_map):
     """A reconstruction with depth, a frame of which is black, and what it told of its work."""
     calls = []
-    result = reconstructed(world, "rgbd", blank=(9,), told=lambda *call: calls.append(call))
+    result = reconstructed(slam_map, "rgbd", blank=(9,), told=lambda *call: calls.append(call))
     return result, calls
 
 
-def test_depth_fixes_the_scale(world, measured):
+def test_depth_fixes_the_scale(slam_map, measured):
     result, _ = measured
-    figures = evaluate_trajectory(result.trajectory, len(world), world.poses, world.timestamps, alignment="se3")
-    assert result.tracked_frames == len(world)
+    figures = evaluate_trajectory(
+        result.trajectory, len(slam_map), slam_map.poses, slam_map.timestamps, alignment="se3"
+    )
+    assert result.tracked_frames == len(slam_map)
     assert figures["ate_rmse"] < 0.02
     seen = result.camera.project(
         np.einsum(
@@ -65,17 +67,17 @@ def test_depth_fixes_the_scale(world, measured):
     assert np.median(np.linalg.norm(seen - result.observations.uv, axis=1)) < 1.0
 
 
-def test_frames_between_are_located_and_what_cannot_be_is_interpolated_and_marked(world, measured):
+def test_frames_between_are_located_and_what_cannot_be_is_interpolated_and_marked(slam_map, measured):
     result, _ = measured
     keyframes = result.keyframes.frame_index.tolist()
-    between = sorted({*range(len(world))} - {*keyframes, 9})
+    between = sorted({*range(len(slam_map))} - {*keyframes, 9})
     assert result.stats["located_frames"] == len(between) >= 10
     assert result.stats["interpolated_frames"] == [9]
     assert {result.states[i] for i in (*keyframes, *between)} == {"ok"}
     assert (result.states[9], result.inliers[9]) == ("interpolated", 0)
     assert result.inliers[between].min() >= 20
     # Located one by one: as near to their neighbours' truth as these are, not merely on the line between them.
-    wTc, true = result.trajectory.wTc, world.poses
+    wTc, true = result.trajectory.wTc, slam_map.poses
     for i in between:
         step, truth = np.linalg.inv(wTc[i - 1]) @ wTc[i], np.linalg.inv(true[i - 1]) @ true[i]
         assert np.linalg.norm(step[:3, 3] - truth[:3, 3]) < 0.01
@@ -88,9 +90,9 @@ def test_its_work_is_told_of(measured):
     assert all(done == total > 0 for done, total in last.values())
 
 
-def test_an_unknown_camera_is_estimated(world):
-    result = reconstructed(world, "mono", intrinsics="unknown")
-    assert result.camera.fx == pytest.approx(world.camera.fx, rel=0.1)
+def test_an_unknown_camera_is_estimated(slam_map):
+    result = reconstructed(slam_map, "mono", intrinsics="unknown")
+    assert result.camera.fx == pytest.approx(slam_map.camera.fx, rel=0.1)
     assert result.stats["camera"]["fx"] == result.camera.fx
 
 
@@ -103,11 +105,11 @@ def test_several_models_are_said(caplog):
 def test_images_are_paired_as_colmap_does(tmp_path):
     import pycolmap
 
-    world = prgbd.make_data("synthetic", sequence="indoor-0", frames=2, width=96, height=64)
+    slam_map = prgbd.make_data("synthetic", sequence="indoor-0", frames=2, width=96, height=64)
     (tmp_path / "images").mkdir()
     names = [image_name(i) for i in range(9)]
     for name in names:
-        cv2.imwrite(str(tmp_path / "images" / name), world.frame(0).image)
+        cv2.imwrite(str(tmp_path / "images" / name), slam_map.frame(0).image)
     database = pycolmap.Database.open(tmp_path / "database.db")
     pycolmap.import_images(tmp_path / "database.db", tmp_path / "images", pycolmap.CameraMode.SINGLE, names)
     options = pycolmap.SequentialPairingOptions()

@@ -7,7 +7,7 @@ from torch import nn
 
 import prgbd
 from prgbd.core.errors import ConfigError, WeightsError
-from prgbd.core.types import Frame, PinholeCamera, SlamResult
+from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.slam.posenet import PoseNetworkOdometry
 from tests.contracts import SlamContract
 
@@ -63,8 +63,8 @@ def test_chained_motions_give_back_the_poses(weights, tmp_path):
     assert np.allclose(result.trajectory.wTc, torch.stack(wTc).numpy(), atol=1e-5)
     assert result.keyframes.frame_index.tolist() == [0, 2, 4]
     assert len(result.points) == 0
-    result.save(tmp_path, ("tum", "kitti", "ply", "colmap"))
-    assert np.array_equal(SlamResult.load(tmp_path).trajectory.wTc, result.trajectory.wTc)
+    prgbd.save_result(result, tmp_path, ("tum", "kitti", "ply", "colmap"))
+    assert np.array_equal(prgbd.load_result(tmp_path).trajectory.wTc, result.trajectory.wTc)
 
 
 def test_weights_without_a_pose_network_are_refused(tmp_path):

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from prgbd.plugins.data.synthetic import motion, painting, things
+from prgbd.plugins.data.synthetic import camera_path as motion
+from prgbd.plugins.data.synthetic import painting, things
 from prgbd.plugins.data.synthetic.scene import SceneBuilder, Surfaces
 from prgbd.plugins.data.synthetic.textures import TextureAtlas
 from prgbd.plugins.data.synthetic.world import Mover, Stage, World, lit

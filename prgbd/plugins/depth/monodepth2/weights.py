@@ -11,7 +11,7 @@ from torch import nn
 
 from prgbd.core.depth import load_matching, read_state_dict
 from prgbd.core.errors import WeightsError
-from prgbd.core.files import atomic_path
+from prgbd.io.files import atomic_path
 
 ENCODER, DEPTH, POSE_ENCODER, POSE = "encoder.pth", "depth.pth", "pose_encoder.pth", "pose.pth"
 EXTRA = ("height", "width", "use_stereo")

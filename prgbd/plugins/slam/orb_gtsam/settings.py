@@ -10,14 +10,10 @@ from typing import Any
 import numpy as np
 
 from prgbd.core.errors import ConfigError
-from prgbd.plugins.slam.orb_gtsam.depth_noise import DepthNoise
 
 # ORB-SLAM2 looks for 1000 features in 640x480 images and for 2000 in KITTI's wide ones.
 _VGA_AREA = 640 * 480
 _WIDE_ASPECT = 2.0
-
-# What "auto" means for the depth of a network: single depths are wrong by 10 to 20 %.
-PSEUDO_DEPTH = DepthNoise(relative=0.15, fallback=True)
 
 
 @dataclass(frozen=True)
@@ -227,19 +223,6 @@ class Settings:
         """Say whether keyframes take refuted matches along in a mode of the system."""
         auto = self.keyframe_outliers == "auto"
         return mode not in ("rgbd", "stereo") if auto else bool(self.keyframe_outliers)
-
-    def depth_noise(self, *, pseudo: bool, features: int) -> DepthNoise:
-        """Return the noise of a sensor's depth, or of ``pseudo`` depth, for so many features in a frame."""
-        automatic = PSEUDO_DEPTH if pseudo else DepthNoise()
-        # About half of a frame's keypoints are found in the map.
-        shared = max(1.0, 0.5 * features) if pseudo else 1.0
-        return DepthNoise(
-            relative=automatic.relative if self.depth_sigma == "auto" else float(self.depth_sigma),
-            far=self.depth_sigma_far,
-            shared=shared if self.depth_shared == "auto" else float(self.depth_shared),
-            fallback=automatic.fallback if self.depth_fallback == "auto" else bool(self.depth_fallback),
-            border=self.depth_border,
-        )
 
     @classmethod
     def from_options(cls, options: dict[str, Any]) -> Settings:

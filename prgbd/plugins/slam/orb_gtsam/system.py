@@ -12,31 +12,33 @@ import numpy as np
 from prgbd.core.errors import ConfigError, ContractError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
-from prgbd.plugins.slam.orb_gtsam.backend import MappingBackend
-from prgbd.plugins.slam.orb_gtsam.compilation import announce_compilation
-from prgbd.plugins.slam.orb_gtsam.depth_error import depth_error
-from prgbd.plugins.slam.orb_gtsam.diagnostics import depth_figures, map_sizes, view_of
-from prgbd.plugins.slam.orb_gtsam.frame_features import FrameReader
-from prgbd.plugins.slam.orb_gtsam.frames import TrackedFrame
-from prgbd.plugins.slam.orb_gtsam.frontend import FrontEnd
-from prgbd.plugins.slam.orb_gtsam.global_adjustment import adjust_map
-from prgbd.plugins.slam.orb_gtsam.initialisation import DepthStarter, Starter
-from prgbd.plugins.slam.orb_gtsam.local_map import Neighbourhoods
-from prgbd.plugins.slam.orb_gtsam.local_mapping import LocalMapper
-from prgbd.plugins.slam.orb_gtsam.loop_closing import LoopCloser
-from prgbd.plugins.slam.orb_gtsam.map_file import load_map, loaded_keyframes, save_map
-from prgbd.plugins.slam.orb_gtsam.map_health import doubts_about
-from prgbd.plugins.slam.orb_gtsam.mapping import Map
-from prgbd.plugins.slam.orb_gtsam.place_recognition import PlaceIndex
-from prgbd.plugins.slam.orb_gtsam.realtime import RealtimeBackend
-from prgbd.plugins.slam.orb_gtsam.relocalisation import Relocaliser
-from prgbd.plugins.slam.orb_gtsam.rig import Rig
-from prgbd.plugins.slam.orb_gtsam.self_calibration import self_calibrate
+from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
+from prgbd.plugins.slam.orb_gtsam.camera.depth_noise import depth_noise
+from prgbd.plugins.slam.orb_gtsam.camera.virtual_baseline import RunningBaseline, set_baseline
+from prgbd.plugins.slam.orb_gtsam.diagnostics.compilation_notice import announce_compilation
+from prgbd.plugins.slam.orb_gtsam.diagnostics.depth_error import depth_error
+from prgbd.plugins.slam.orb_gtsam.diagnostics.frame_figures import depth_figures, map_sizes, view_of
+from prgbd.plugins.slam.orb_gtsam.diagnostics.map_health import doubts_about
+from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
+from prgbd.plugins.slam.orb_gtsam.features.frame_reader import FrameReader
+from prgbd.plugins.slam.orb_gtsam.loop_closing.keyframe_database import KeyframeDatabase
+from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_closer import LoopCloser
+from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
+from prgbd.plugins.slam.orb_gtsam.map.map import Map
+from prgbd.plugins.slam.orb_gtsam.map.map_correction import follow_baseline
+from prgbd.plugins.slam.orb_gtsam.map.map_file import load_map, loaded_keyframes, save_map
+from prgbd.plugins.slam.orb_gtsam.mapping.backend import MappingBackend
+from prgbd.plugins.slam.orb_gtsam.mapping.global_adjustment import adjust_map
+from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.mapping.self_calibration import self_calibrate
+from prgbd.plugins.slam.orb_gtsam.mapping.threaded_backend import ThreadedBackend
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
-from prgbd.plugins.slam.orb_gtsam.timing import Stopwatch
-from prgbd.plugins.slam.orb_gtsam.tracking import Tracker
-from prgbd.plugins.slam.orb_gtsam.two_view_start import TwoViewStarter
-from prgbd.plugins.slam.orb_gtsam.virtual_baseline import RunningBaseline, follow_baseline, set_baseline
+from prgbd.plugins.slam.orb_gtsam.tracking.front_end import FrontEnd
+from prgbd.plugins.slam.orb_gtsam.tracking.initializer import DepthInitializer, Initializer
+from prgbd.plugins.slam.orb_gtsam.tracking.relocalisation import Relocaliser
+from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.tracking.tracker import Tracker
+from prgbd.plugins.slam.orb_gtsam.tracking.two_view_initializer import TwoViewInitializer
 
 log = logging.getLogger(__name__)
 
@@ -87,7 +89,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._reader = FrameReader(settings, camera, mode)
         extractor = self._reader.left
         self._running = RunningBaseline() if running else None
-        self._rig = Rig(
+        self._camera = CameraModel(
             camera.undistorted(),
             mode == "mono",
             0.0,
@@ -95,30 +97,32 @@ class OrbGtsamSLAM(GeometricSLAM):
             settings.scales(),
             extractor.columns,
             stereo=mode == "stereo",
-            noise=settings.depth_noise(pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
+            noise=depth_noise(settings, pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
         )
         if mode != "mono":
-            set_baseline(self._rig, settings, float(baseline or 0.0))
+            set_baseline(self._camera, settings, float(baseline or 0.0))
         cells = extractor.columns * extractor.rows
-        self._map = Map(extractor.capacity, cells, self._rig.scales)
-        self._near = Neighbourhoods(self._map, settings.covisible_weight)
+        self._map = Map(extractor.capacity, cells, self._camera.scales)
+        self._covisibility = CovisibilityGraph(self._map, settings.covisible_weight)
         self._watch = Stopwatch()
-        mapper = LocalMapper(settings, self._rig, self._map, self._near, self._watch)
+        mapper = LocalMapper(settings, self._camera, self._map, self._covisibility, self._watch)
         self._backend = (
-            RealtimeBackend(mapper, self._watch, settings.realtime_queue)
+            ThreadedBackend(mapper, self._watch, settings.realtime_queue)
             if settings.realtime
             else MappingBackend(mapper, self._watch)
         )
-        self._places = PlaceIndex(seed=seed)
+        self._places = KeyframeDatabase(seed=seed)
         self._loops = self._close_loops(mapper, self._places, seed)
         least = settings.keypoints_to_start(camera.width, camera.height)
-        starter: Starter = (
-            TwoViewStarter(settings, self._rig, mapper, least, seed) if self._rig.mono else DepthStarter(mapper, least)
+        initializer: Initializer = (
+            TwoViewInitializer(settings, self._camera, mapper, least, seed)
+            if self._camera.mono
+            else DepthInitializer(mapper, least)
         )
-        tracker = Tracker(settings, self._rig, self._map, self._near)
+        tracker = Tracker(settings, self._camera, self._map, self._covisibility)
         relocaliser = Relocaliser(tracker, self._places)
         outliers = settings.takes_outliers(mode)
-        self._frontend = FrontEnd(tracker, relocaliser, starter, self._backend, self._watch, fps, outliers)
+        self._front_end = FrontEnd(tracker, relocaliser, initializer, self._backend, self._watch, fps, outliers)
         self._ready = True
 
     def track(self, frame: Frame) -> TrackingResult:
@@ -134,29 +138,29 @@ class OrbGtsamSLAM(GeometricSLAM):
         if self._running is not None and frame.depth is not None and self._running.see(frame.depth):
             self._rebase(self._running.baseline)
         with self._watch("features"):
-            features = self._reader.read(frame, self._rig)
+            features = self._reader.read(frame, self._camera)
         self._backend.check()
         with self._watch("frame_total"):
             with self._map.lock:
-                current = TrackedFrame(frame.index, frame.timestamp, len(self._frontend.history.states), features)
-                result, handovers = self._frontend.take(current)
+                current = TrackedFrame(frame.index, frame.timestamp, len(self._front_end.history.states), features)
+                result, handovers = self._front_end.track(current)
                 sizes = map_sizes(self._map)
             for handover in handovers:
-                self._backend.submit(handover.keyframe, local_mapping=handover.local_mapping)
+                self._backend.insert_keyframe(handover.keyframe, local_mapping=handover.local_mapping)
         return replace(result, info=sizes)
 
     def _rebase(self, baseline: float) -> None:
         """Take another virtual baseline; what was measured before follows."""
         self._backend.drain()
         with self._map.lock:
-            set_baseline(self._rig, self.settings, baseline)
-            follow_baseline(self._map, self._rig)
+            set_baseline(self._camera, self.settings, baseline)
+            follow_baseline(self._map, self._camera)
 
     def view(self) -> SlamView | None:
         """See ``GeometricSLAM.view``."""
         if not self._ready:
             return None
-        last, frames = self._frontend.tracker.last, len(self._frontend.history.states)
+        last, frames = self._front_end.tracker.last, len(self._front_end.history.states)
         with self._map.lock:
             return view_of(self._map, last.frame if last is not None and last.frame.ordinal == frames - 1 else None)
 
@@ -167,7 +171,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         if self._ready:
             self._backend.drain()
         with self._map.lock:
-            save_map(self._map, self._rig, self._given, self.settings, path)
+            save_map(self._map, self._camera, self._given, self.settings, path)
 
     def load_map(self, path: Path | str) -> None:
         """See ``GeometricSLAM.load_map``; all keypoints, points and observations come back.
@@ -177,20 +181,20 @@ class OrbGtsamSLAM(GeometricSLAM):
             ConfigError: If the map does not fit the camera, the mode or the settings, or has no keyframes.
         """
         self._require_ready()
-        if self._frontend.history.states:
+        if self._front_end.history.states:
             raise ContractError("A map was loaded after the first frame; call load_map between reset and track.")
         with self._map.lock:
-            load_map(self._map, self._rig, path)
+            load_map(self._map, self._camera, path)
             if len(self._map.alive()) == 0:
                 raise ConfigError(f"The map {path} has no keyframes; leave slam.load_map out.")
             for map_id in self._map.map_ids():
                 for k in self._map.alive(map_id).tolist():
                     self._places.add(k, self._map.features(k).descriptor)
-            self._frontend.enter()
+            self._front_end.start_localisation()
 
-    def _close_loops(self, mapper: LocalMapper, places: PlaceIndex, seed: int) -> LoopCloser:
+    def _close_loops(self, mapper: LocalMapper, places: KeyframeDatabase, seed: int) -> LoopCloser:
         """Make the loop closer; it sees every keyframe that was mapped, unless it is off, before the index gets it."""
-        closer = LoopCloser(self.settings, self._rig, self._map, self._near, mapper, places, seed)
+        closer = LoopCloser(self.settings, self._camera, self._map, self._covisibility, mapper, places, seed)
 
         def look(k: int) -> None:
             with self._watch("loop_closing"):
@@ -209,25 +213,25 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._require_ready()
         self._backend.drain()
         self._backend.close()
-        history, stats = self._frontend.history, dict[str, Any](baseline=self._rig.baseline)
+        history, stats = self._front_end.history, dict[str, Any](baseline=self._camera.baseline)
         if self.settings.full_ba and not self.settings.localise_only:
             if self._mode in _SELF_CALIBRATED and self.settings.focal_length_sigma > 0:
                 with self._watch("self_calibration"):
-                    stats["focal_length"] = self_calibrate(self._map, self._rig, self.settings.focal_length_sigma)
+                    stats["focal_length"] = self_calibrate(self._map, self._camera, self.settings.focal_length_sigma)
             with self._watch("full_ba"):
-                stats["full_ba"] = adjust_map(self._map, self._rig, self.settings, self._backend.mapper)
+                stats["full_ba"] = adjust_map(self._map, self._camera, self.settings, self._backend.mapper)
         stats |= self._backend.statistics()
         stats["loops"] = self._loops.loops
-        stats["starts"] = self._frontend.starter.starts
+        stats["starts"] = self._front_end.initializer.starts
         stats["stages_ms"] = self._watch.statistics()
         stats["maps"] = len(self._map.map_ids())
         stats["loaded_keyframes"] = loaded_keyframes(self._map)
         stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
-        stats |= depth_figures(self._frontend.depth_agreements)
-        if not self._rig.mono:
-            error = depth_error(self._map, self._rig)
+        stats |= depth_figures(self._front_end.depth_agreements)
+        if not self._camera.mono:
+            error = depth_error(self._map, self._camera)
             stats["depth_error"] = None if error is None else asdict(error)
-        result = history.result(self._map, self._rig, stats)
+        result = history.result(self._map, self._camera, stats)
         stats["doubts"] = doubts_about(result, stats.get("full_ba", {}).get("maps", []))
         if stats["doubts"]:
             log.warning("The trajectory is doubtful: %s.", "; ".join(stats["doubts"]))
@@ -238,7 +242,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         """Stop the mapper and free the map."""
         if "_backend" in self.__dict__:
             self._backend.close()
-        for name in ("_map", "_backend", "_frontend", "_reader", "_near"):
+        for name in ("_map", "_backend", "_front_end", "_reader", "_near"):
             self.__dict__.pop(name, None)
         self._ready = False
 

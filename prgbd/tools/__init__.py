@@ -1,0 +1,1 @@
+"""Tools beside the loop: doctor, download guides, calibration, a look at a recording before a run, leaderboards."""
