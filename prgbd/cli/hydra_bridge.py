@@ -141,7 +141,7 @@ def known_options() -> list[str]:
     return sorted(n for n in names if not n.startswith(("hydra", "defaults")))
 
 
-def _dotted(node: dict, prefix: str) -> list[str]:  # type: ignore[type-arg]
+def _dotted(node: dict, prefix: str) -> list[str]:
     names = []
     for key, value in node.items():
         name = f"{prefix}.{key}" if prefix else str(key)

@@ -149,7 +149,7 @@ def compiled(network: nn.Module, say: Callable[[str], None] = warnings.warn) -> 
             )
             return result
 
-    network.forward = forward  # type: ignore[method-assign]
+    network.forward = forward
     try:
         yield
     finally:

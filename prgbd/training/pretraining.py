@@ -206,7 +206,7 @@ def pretrain(
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         module = DepthPretraining(estimator, pose, settings)
         if settings.channels_last:
-            module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+            module.to(memory_format=torch.channels_last)
         checkpoint = StepCheckpoint(out / "checkpoint", settings.checkpoint_minutes)
         handover = Handover(out, module)
         trainer = _trainer(settings, out, options, bool(bar), logger, [checkpoint, handover])

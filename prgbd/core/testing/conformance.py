@@ -146,7 +146,7 @@ class _DepthChecks:
         import torch
 
         self.estimator.zero_grad()
-        sum(depth.log().mean() for depth in self.estimator(self._images()).depths).backward()  # type: ignore[union-attr]
+        sum(depth.log().mean() for depth in self.estimator(self._images()).depths).backward()
         gradients = [p.grad for p in self.estimator.parameters() if p.grad is not None]
         require(any(bool(g.abs().sum() > 0) for g in gradients), self.who, "gives no gradient; is depth detached?")
         finite = all(bool(torch.isfinite(g).all()) for g in gradients)
