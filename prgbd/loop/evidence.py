@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from prgbd.core.types import DepthPrediction, SlamResult
+from prgbd.functional.losses import photometric_loss
 from prgbd.loop.depth_figures import evenly
 from prgbd.loop.sensing import DepthSensor
-from prgbd.training.losses import photometric_loss
 from prgbd.training.supervision import clean_observations, points_in_camera, reprojection_errors
 
 FRAMES = 32

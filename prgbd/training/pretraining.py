@@ -22,17 +22,17 @@ from torch import Tensor, nn
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
-from prgbd.training.augmentation import jittered
+from prgbd.functional.colour import jittered
+from prgbd.functional.losses import photometric_loss, smoothness_loss
+from prgbd.functional.warping import invert_rigid
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
 from prgbd.training.images import image_folder
-from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
 from prgbd.training.pretraining_data import DecodedSequence, PretrainingData, Triplets, decode
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.sampling import step_seed
 from prgbd.training.trainers import make_trainer
-from prgbd.training.warping import invert_rigid
 
 
 class DepthPretraining(lightning.LightningModule):

@@ -25,6 +25,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
+from prgbd.functional.sparse_losses import sample_patches
 from prgbd.training.batch_statistics import measure_batch_statistics
 from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
 from prgbd.training.images import image_folder
@@ -38,7 +39,6 @@ from prgbd.training.refinement_data import (
 )
 from prgbd.training.refinement_module import DepthRefinement, LossRows, points_at
 from prgbd.training.refinement_settings import RefinementSettings
-from prgbd.training.sparse_losses import sample_patches
 from prgbd.training.supervision import Supervision, keyframe_samples
 from prgbd.training.trainers import make_trainer
 

@@ -12,15 +12,15 @@ from torch import Tensor
 
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.types import DepthPrediction
+from prgbd.functional.losses import photometric_loss, smoothness_loss
+from prgbd.functional.sparse_losses import depth_consistency, depth_transfer
+from prgbd.functional.warping import invert_rigid
 from prgbd.training.augmentation import augmented
 from prgbd.training.batch_statistics import BATCH_NORMALISATION
-from prgbd.training.losses import photometric_loss, smoothness_loss
 from prgbd.training.optimizers import adam
 from prgbd.training.refinement_data import RefinementBatch
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
 from prgbd.training.sampling import step_seed
-from prgbd.training.sparse_losses import depth_consistency, depth_transfer
-from prgbd.training.warping import invert_rigid
 
 
 def points_at(batch: RefinementBatch, depth: Tensor, view: int | None) -> tuple[Tensor, Tensor]:

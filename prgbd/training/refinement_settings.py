@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from prgbd.core.errors import ConfigError
-from prgbd.training.sparse_losses import MATCHINGS, REDUCTIONS, RESIDUALS
+from prgbd.functional.sparse_losses import MATCHINGS, REDUCTIONS, RESIDUALS
 from prgbd.training.supervision import CONSISTENCY_POINTS
 
 TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")

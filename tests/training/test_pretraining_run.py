@@ -13,11 +13,11 @@ from torch import nn
 
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.types import DepthPrediction
+from prgbd.functional.warping import transformation_from_parameters
 from prgbd.training.pretraining import DepthPretraining, pretrain
 from prgbd.training.pretraining_data import PretrainingData, Triplets, decode
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.sampling import EpochSampler
-from prgbd.training.warping import transformation_from_parameters
 
 from .scenes import WallSequence
 

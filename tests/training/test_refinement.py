@@ -10,8 +10,9 @@ from torch import nn
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError, DataError, SlamError
 from prgbd.core.types import DepthPrediction, PinholeCamera
+from prgbd.functional.colour import jittered
 from prgbd.training import refinement_data
-from prgbd.training.augmentation import jittered, mirrored
+from prgbd.training.augmentation import mirrored
 from prgbd.training.refinement import network_scale, refine
 from prgbd.training.refinement_module import DepthRefinement, points_at
 from prgbd.training.refinement_settings import TERMS, RefinementSettings

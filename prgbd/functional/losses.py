@@ -12,8 +12,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from prgbd.core.types import DepthPrediction
-from prgbd.training.image_similarity import moments, photometric_error
-from prgbd.training.warping import reprojection, resampled, sampling_grid
+from prgbd.functional.image_similarity import moments, photometric_error
+from prgbd.functional.warping import reprojection, resampled, sampling_grid
 
 TIE_BREAK = 1e-5
 """Scale of the normal noise on the identity error; decides ties of still images at random (Monodepth2)."""

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from prgbd.training.warping import NEAREST, invert_rigid
+from prgbd.functional.warping import NEAREST, invert_rigid
 
 REDUCTIONS = ("mean", "sum", "average")
 MATCHINGS = ("projected", "offset")

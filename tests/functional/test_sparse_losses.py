@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from prgbd.training.sparse_losses import (
+from prgbd.functional.sparse_losses import (
     anchored,
     depth_consistency,
     depth_transfer,
@@ -13,7 +13,7 @@ from prgbd.training.sparse_losses import (
     sample_patches,
     transferred,
 )
-from prgbd.training.warping import invert_rigid, transformation_from_parameters
+from prgbd.functional.warping import invert_rigid, transformation_from_parameters
 
 K = torch.tensor([[[20.0, 0, 9.5], [0, 20.0, 7.5], [0, 0, 1]]]).double()
 HEIGHT, WIDTH = 16, 20

@@ -3,7 +3,7 @@
 import torch
 import torch.nn.functional as F
 
-from prgbd.training import image_similarity as similarity
+from prgbd.functional import image_similarity as similarity
 
 
 def plain_error(a, b):

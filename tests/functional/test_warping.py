@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from prgbd.training import warping
+from prgbd.functional import warping
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "monodepth2_layers.json").read_text())
 HEIGHT, WIDTH = 192, 640

@@ -5,9 +5,9 @@ import torch
 import torch.nn.functional as F
 
 from prgbd.core.types import DepthPrediction
-from prgbd.training import image_similarity as similarity
-from prgbd.training import losses
-from prgbd.training.warping import invert_rigid, transformation_from_parameters, warp
+from prgbd.functional import image_similarity as similarity
+from prgbd.functional import losses
+from prgbd.functional.warping import invert_rigid, transformation_from_parameters, warp
 
 from .test_warping import GOLDEN, HEIGHT, WIDTH, wave
 
