@@ -1,0 +1,331 @@
+"""Options: from plain values, as YAML and the command line give them, to the dataclass that is their one source.
+
+A dataclass says the name, the type, the default and (in its ``__post_init__``) the range of every option of a part;
+its docstring says what each means. ``from_mapping`` makes one of what a user gave and says in one sentence what cannot
+work; ``checked_arguments`` does so for the keyword parameters of a plug-in that names no dataclass; ``schema`` turns
+the dataclass into a structured config for Hydra's ConfigStore, so that the command line knows the same names and types.
+
+Types are checked and converted by OmegaConf (``"1e-6"`` is a float, ``true`` is no whole number, a list serves for a
+tuple). What OmegaConf 2.3 does not know is decided here by the annotation alone: ``Literal``, alternatives such as
+``int | Literal["auto"]``, the length of a tuple, and ``3.0`` for a whole number. Values of other types (a ``Camera``,
+an array) pass as they are.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
+from pathlib import Path
+from types import NoneType, SimpleNamespace, UnionType
+from typing import TYPE_CHECKING, Any, Literal, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from prgbd.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+T = TypeVar("T")
+
+_WORDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text", Path: "a file or folder"}
+_WORDS_OF_SEVERAL = {int: "whole numbers", float: "numbers", bool: "truth values", str: "texts"}
+
+
+def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
+    """Make a dataclass of options; what is not given keeps its default.
+
+    Args:
+        cls: The dataclass, frozen or not. Its fields may be dataclasses again: groups of options.
+        given: Plain values by name, those of a group in a mapping of their own.
+        prefix: The dotted name of the options' group on the command line, such as ``training``; "" for none.
+
+    Returns:
+        An instance of ``cls``.
+
+    Raises:
+        ConfigError: If an option is unknown, absent without a default, or has a value of the wrong type; the message
+            holds its full dotted name. What ``__post_init__`` raises passes as it is.
+    """
+    hints = _hints(cls)
+    known = {option.name: option for option in fields(cls) if option.init}  # type: ignore[arg-type]
+    _check_names(given, known, prefix, option_names(cls, prefix))
+    values = {}
+    for name, option in known.items():
+        key = dotted(prefix, name)
+        if name not in given:
+            if option.default is MISSING and option.default_factory is MISSING:
+                raise ConfigError(f"The option {key} has no default; add {key}=...")
+        elif _is_group(hints[name]) and isinstance(given[name], Mapping):
+            values[name] = _group(hints[name], option, given[name], key)
+        else:
+            values[name] = _converted(given[name], hints[name], key)
+    return cls(**values)
+
+
+def checked_arguments(target: Callable[..., Any], given: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return keyword arguments with the types that a function or class has in its signature.
+
+    Args:
+        target: What will be called; one that takes ``**kwargs`` judges for itself, and gets ``given`` as it is.
+        given: Keyword arguments, plain values.
+        prefix: The dotted name of the options' group on the command line, such as ``slam``.
+
+    Raises:
+        ConfigError: If an argument is unknown, absent without a default, or has a value of the wrong type.
+    """
+    parameters = inspect.signature(target).parameters
+    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        return dict(given)
+    known = {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+    _check_names(given, known, prefix, [dotted(prefix, name) for name in known])
+    absent = [dotted(prefix, n) for n, p in known.items() if p.default is p.empty and n not in given]
+    if absent:
+        raise ConfigError(f"The option {' and '.join(absent)} has no default; add {absent[0]}=...")
+    return {
+        name: _converted(value, _hint(target, name, known[name].annotation), dotted(prefix, name))
+        for name, value in given.items()
+    }
+
+
+def schema(cls: type[Any]) -> type[Any]:
+    """Return a dataclass like ``cls`` that OmegaConf takes as a structured config, for Hydra's ConfigStore.
+
+    It has the same names and defaults, no checks of ranges, and is not frozen, for OmegaConf lets nobody change the
+    groups of a frozen one. A field whose type OmegaConf does not know takes anything; ``from_mapping`` checks it.
+    """
+    hints = _hints(cls)
+    described = []
+    for option in fields(cls):
+        if not option.init:
+            continue
+        hint = hints[option.name]
+        kind = schema(hint) if _is_group(hint) else hint if _box(hint) is not None else Any
+        described.append((option.name, kind, _schema_default(option, hint, kind)))
+    return make_dataclass(cls.__name__, described)
+
+
+def option_names(cls: type[Any], prefix: str = "") -> list[str]:
+    """Return the dotted names of all options of a dataclass, those of its groups included."""
+    hints = _hints(cls)
+    names: list[str] = []
+    for option in fields(cls):
+        key, hint = dotted(prefix, option.name), hints[option.name]
+        names += option_names(hint, key) if _is_group(hint) else [key]
+    return names
+
+
+def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
+    """Return the error for an option that does not exist; it names the nearest ones by their full dotted names.
+
+    Args:
+        key: Dotted name as the user gave it. Initials (``training.lr``), similar letters, and names without their
+            group or in another one are understood.
+        known: Dotted names of the options that exist.
+    """
+    names = sorted(known)
+    parent, _, leaf = key.rpartition(".")
+    siblings = [name for name in names if name.rpartition(".")[0] == parent]
+    elsewhere = [name for name in names if name.rpartition(".")[2] == leaf]
+    near = _near(leaf, siblings) or elsewhere or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
+    hint = f"did you mean {_listed(near)}?" if near else f"there are {_listed(siblings or names)}."
+    return ConfigError(f"There is no option '{key}'; {hint}")
+
+
+def refused(key: str, value: Any, annotation: Any) -> ConfigError:
+    """Return the error for a value that an option of a type does not take."""
+    return ConfigError(f"{key} is {value!r}; it must be {wanted(annotation)}.")
+
+
+def wanted(annotation: Any) -> str:
+    """Say in words which values a type takes: ``a whole number or auto``, ``a list of 2 numbers``."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if annotation is NoneType:
+        return "null"
+    if origin is Literal:
+        return _either([str(part).lower() if isinstance(part, bool) else str(part) for part in parts])
+    if origin in (Union, UnionType):
+        return _either([wanted(part) for part in sorted(parts, key=lambda part: part is NoneType)])
+    if origin in (list, tuple):
+        count = f"{len(parts)} " if origin is tuple and Ellipsis not in parts else ""
+        return f"a list of {count}{_WORDS_OF_SEVERAL.get(parts[0], 'values')}"
+    if annotation in _WORDS:
+        return _WORDS[annotation]
+    return "a group of options" if _is_group(annotation) else f"a value of the type {_name(annotation)}"
+
+
+def dotted(prefix: str, name: str) -> str:
+    """Return the full name of an option of a group."""
+    return f"{prefix}.{name}" if prefix else str(name)
+
+
+def _is_group(annotation: Any) -> TypeGuard[type[Any]]:
+    return isinstance(annotation, type) and is_dataclass(annotation)
+
+
+def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: str) -> Any:
+    """Make a nested dataclass; its defaults are those of the field that holds it."""
+    if option.default is MISSING and option.default_factory is MISSING:
+        return from_mapping(cls, given, key)
+    default = _default(option)
+    return from_mapping(cls, {f.name: getattr(default, f.name) for f in fields(cls) if f.init} | dict(given), key)
+
+
+def _converted(value: Any, annotation: Any, key: str) -> Any:
+    """Return a value with the type of an annotation, or raise a ConfigError with the option's name."""
+    value = value.item() if getattr(value, "shape", None) == () else value  # a scalar of numpy's
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if _is_group(annotation):
+        if isinstance(value, annotation):
+            return value
+        if isinstance(value, Mapping):
+            return from_mapping(annotation, value, key)
+        raise refused(key, value, annotation)
+    if origin is Literal:
+        for part in parts:
+            if type(value) is type(part) and value == part:
+                return value
+        raise refused(key, value, annotation)
+    if origin in (Union, UnionType):
+        return _alternative(value, annotation, key)
+    if origin in (list, tuple):
+        return _sequence(value, annotation, key)
+    if annotation is int and isinstance(value, float) and value.is_integer():
+        return int(value)
+    return _by_omegaconf(value, annotation, key)
+
+
+def _alternative(value: Any, annotation: Any, key: str) -> Any:
+    """Convert to the first of several types that takes a value: its own before others, text only for text."""
+    parts = get_args(annotation)
+    if value is None and NoneType in parts:
+        return None
+    for part in sorted(parts, key=lambda part: (get_origin(part) is not Literal, not _is_of(value, part))):
+        if part is NoneType or (part is str and type(value) not in (str, int)):
+            continue
+        try:
+            return _converted(value, part, key)
+        except ConfigError:
+            if _is_group(part) and isinstance(value, Mapping):
+                raise  # the sentence about the option within the group says more
+    raise refused(key, value, annotation)
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    """Say whether a value has a type already; true and false are no numbers."""
+    return isinstance(kind, type) and isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
+
+
+def _sequence(value: Any, annotation: Any, key: str) -> Any:
+    """Convert the entries of a list or tuple."""
+    kind, parts = get_origin(annotation), get_args(annotation)
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        raise refused(key, value, annotation)
+    fixed = kind is tuple and Ellipsis not in parts
+    if fixed and len(value) != len(parts):
+        raise refused(key, list(value), annotation)
+    types = parts if fixed else [parts[0]] * len(value)
+    try:
+        entries = [_converted(item, part, key) for item, part in zip(value, types, strict=True)]
+    except ConfigError:
+        raise refused(key, list(value), annotation) from None
+    return tuple(entries) if kind is tuple else entries
+
+
+def _by_omegaconf(value: Any, annotation: Any, key: str) -> Any:
+    """Let OmegaConf convert a value; one of a type that it does not know passes."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    box = None if annotation is Any else _box(annotation)
+    if box is None:
+        return value
+    try:
+        return OmegaConf.to_container(OmegaConf.merge(box, {"value": value}))["value"]  # type: ignore[call-overload, index]
+    except OmegaConfBaseException:
+        raise refused(key, value, annotation) from None
+
+
+@functools.cache
+def _box(annotation: Any) -> DictConfig | None:
+    """Return a structured config with one ``value`` of a type, or None if OmegaConf does not know the type."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    several = get_origin(annotation) in (Union, UnionType) and len(set(get_args(annotation)) - {NoneType}) > 1
+    if several:  # OmegaConf takes no 3 for ``float | str``
+        return None
+    try:
+        return OmegaConf.structured(make_dataclass("Box", [("value", annotation, "???")]))
+    except (OmegaConfBaseException, TypeError):
+        return None
+
+
+def _schema_default(option: Field[Any], hint: Any, kind: Any) -> Any:
+    if option.default is MISSING and option.default_factory is MISSING:
+        return "???"
+    default = _default(option)
+    if _is_group(hint):
+        return field(default_factory=lambda: _mirrored(default, kind))
+    return field(default_factory=lambda: default)
+
+
+def _mirrored(instance: Any, kind: type[Any]) -> Any:
+    """Return the values of a dataclass in its schema."""
+    values = {}
+    for option in fields(kind):
+        value = getattr(instance, option.name)
+        values[option.name] = _mirrored(value, _hints(kind)[option.name]) if is_dataclass(value) else value
+    return kind(**values)
+
+
+def _default(option: Field[Any]) -> Any:
+    return option.default if option.default_factory is MISSING else option.default_factory()
+
+
+def _check_names(given: Mapping[str, Any], names: Iterable[str], prefix: str, known: Iterable[str]) -> None:
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"{prefix} is {given!r}; it must be a group of options.")
+    for name in given:
+        if name not in names:
+            raise unknown_option(dotted(prefix, name), known)
+
+
+def _hints(cls: Any) -> dict[str, Any]:
+    """Return the types of a dataclass's fields; Any for one that names what is not imported when it runs."""
+    try:
+        return get_type_hints(cls)
+    except Exception:  # an annotation may raise anything
+        return {option.name: _hint(cls, option.name, option.type) for option in fields(cls)}
+
+
+def _hint(owner: Any, name: str, annotation: Any) -> Any:
+    """Return the type of one field or parameter."""
+    if annotation is inspect.Parameter.empty:
+        return Any
+    module = vars(sys.modules.get(owner.__module__, sys.modules[__name__]))
+    try:
+        return get_type_hints(SimpleNamespace(__annotations__={name: annotation}), globalns=module)[name]
+    except Exception:  # an annotation may raise anything
+        return Any
+
+
+def _near(leaf: str, siblings: list[str]) -> list[str]:
+    """Return the options of a group that a name may stand for: by its initials (lr), or by similar letters."""
+    leaves = {name.rpartition(".")[2]: name for name in siblings}
+    short = [n for last, n in leaves.items() if "_" in last and "".join(w[0] for w in last.split("_") if w) == leaf]
+    return short or [leaves[last] for last in difflib.get_close_matches(leaf, leaves, n=3, cutoff=0.6)]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names) or "none"
+
+
+def _either(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _name(annotation: Any) -> str:
+    return annotation.__name__ if isinstance(annotation, type) else str(annotation)
