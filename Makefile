@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint types docs docs-serve pictures clean
+.PHONY: help setup demo test coverage lint types docs docs-serve pictures clean
 
 help:  ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -31,9 +31,13 @@ $(VENV)/.extras: $(STAMP)
 test: $(VENV)/.extras  ## Run the tests, after adding all extras
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
-lint: $(STAMP)  ## Check style and the direction of imports
+coverage: $(VENV)/.extras  ## Run the tests and print how much of the Python code they execute
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --cov --cov-report=term:skip-covered
+
+lint: $(STAMP)  ## Check style, spelling and the direction of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 	$(BIN)/lint-imports
 
 types: $(STAMP)  ## Check types
@@ -55,5 +59,5 @@ pictures: $(STAMP)  ## Take the pictures of the documentation from a demo run: m
 	$(BIN)/python docs/pictures.py $(RUN)
 
 clean:  ## Remove the environment and everything generated
-	rm -rf $(VENV) outputs multirun build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) outputs multirun build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .coverage*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

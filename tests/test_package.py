@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 import prgbd
 
@@ -35,3 +36,10 @@ def test_every_public_name_is_there() -> None:
     assert set(dir(prgbd)) == set(prgbd.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         prgbd.nonsense  # noqa: B018
+
+
+@pytest.mark.parametrize("tool", ["ruff", "codespell"])
+def test_hooks_have_the_versions_of_the_constraints(tool) -> None:
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    (revision,) = (entry["rev"] for entry in hooks if tool in entry["repo"])
+    assert f"{tool}=={revision.removeprefix('v')}" in (ROOT / "constraints.txt").read_text().splitlines()
