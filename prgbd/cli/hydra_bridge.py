@@ -18,6 +18,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.core.options import listed, unknown_option
 from prgbd.core.registry import KINDS, REGISTRY, parse_id
 
 log = logging.getLogger(__name__)
@@ -84,7 +85,7 @@ def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdEr
         return ConfigError(f"'{several[1]}' names several values; add -m to run them all, or write a list: key=[a,b].")
     missing_key = re.search(r"Could not override '([^']+)'", text)
     if missing_key:
-        return _unknown_option(missing_key[1])
+        return unknown_option(missing_key[1], known_options())
     return ConfigError(f"The configuration does not hold together: {' '.join(text.split())}; see --help.")
 
 
@@ -101,29 +102,8 @@ def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
         except PrgbdError as error:
             return error
     near = difflib.get_close_matches(name, options, n=3, cutoff=0.5)
-    hint = f"did you mean {_listed(near)}?" if near else f"there are {_listed(sorted(options))}."
+    hint = f"did you mean {listed(near)}?" if near else f"there are {listed(sorted(options))}."
     return ConfigError(f"There is no {group} '{name}'; {hint}")
-
-
-def _unknown_option(key: str) -> ConfigError:
-    names = known_options()
-    parent, _, leaf = key.rpartition(".")
-    siblings = [n for n in names if parent and n.rpartition(".")[0] == parent]
-    elsewhere = [] if parent else [n for n in names if n.rpartition(".")[2] == leaf]  # without its group
-    near = _near(leaf, siblings) or elsewhere or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
-    hint = "see --help."
-    if near:
-        hint = f"did you mean {_listed(near)}?"
-    elif siblings:
-        hint = f"there are {_listed(siblings)}."
-    return ConfigError(f"There is no option '{key}'; {hint}")
-
-
-def _near(leaf: str, siblings: list[str]) -> list[str]:
-    """Return the options of a group that a name may stand for: by its initials (lr), or by similar letters."""
-    leaves = {name.rpartition(".")[2]: name for name in siblings}
-    short = [n for last, n in leaves.items() if "_" in last and "".join(w[0] for w in last.split("_") if w) == leaf]
-    return short or [leaves[last] for last in difflib.get_close_matches(leaf, leaves, n=3, cutoff=0.6)]
 
 
 def known_options() -> list[str]:
@@ -147,7 +127,3 @@ def _dotted(node: dict, prefix: str) -> list[str]:
         name = f"{prefix}.{key}" if prefix else str(key)
         names.extend(_dotted(value, name) if isinstance(value, dict) else [name])
     return names
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(f"'{n}'" for n in names) or "none"

@@ -76,10 +76,9 @@ def checked_arguments(target: Callable[..., Any], given: Mapping[str, Any], pref
     Raises:
         ConfigError: If an argument is unknown, absent without a default, or has a value of the wrong type.
     """
-    parameters = inspect.signature(target).parameters
-    if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+    if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(target).parameters.values()):
         return dict(given)
-    known = {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+    known = keyword_parameters(target)
     _check_names(given, known, prefix, [dotted(prefix, name) for name in known])
     absent = [dotted(prefix, n) for n, p in known.items() if p.default is p.empty and n not in given]
     if absent:
@@ -88,6 +87,12 @@ def checked_arguments(target: Callable[..., Any], given: Mapping[str, Any], pref
         name: _converted(value, _hint(target, name, known[name].annotation), dotted(prefix, name))
         for name, value in given.items()
     }
+
+
+def keyword_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a function or class that can be given by name."""
+    parameters = inspect.signature(target).parameters
+    return {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
 
 
 def schema(cls: type[Any]) -> type[Any]:
@@ -130,7 +135,7 @@ def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
     siblings = [name for name in names if name.rpartition(".")[0] == parent]
     elsewhere = [name for name in names if name.rpartition(".")[2] == leaf]
     near = _near(leaf, siblings) or elsewhere or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
-    hint = f"did you mean {_listed(near)}?" if near else f"there are {_listed(siblings or names)}."
+    hint = f"did you mean {listed(near)}?" if near else f"there are {listed(siblings or names)}."
     return ConfigError(f"There is no option '{key}'; {hint}")
 
 
@@ -175,7 +180,6 @@ def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: st
 
 def _converted(value: Any, annotation: Any, key: str) -> Any:
     """Return a value with the type of an annotation, or raise a ConfigError with the option's name."""
-    value = value.item() if getattr(value, "shape", None) == () else value  # a scalar of numpy's
     origin, parts = get_origin(annotation), get_args(annotation)
     if _is_group(annotation):
         if isinstance(value, annotation):
@@ -192,6 +196,8 @@ def _converted(value: Any, annotation: Any, key: str) -> Any:
         return _alternative(value, annotation, key)
     if origin in (list, tuple):
         return _sequence(value, annotation, key)
+    if annotation in (int, float, bool) and getattr(value, "shape", None) == ():
+        value = value.item()  # a scalar of numpy's
     if annotation is int and isinstance(value, float) and value.is_integer():
         return int(value)
     return _by_omegaconf(value, annotation, key)
@@ -203,7 +209,7 @@ def _alternative(value: Any, annotation: Any, key: str) -> Any:
     if value is None and NoneType in parts:
         return None
     for part in sorted(parts, key=lambda part: (get_origin(part) is not Literal, not _is_of(value, part))):
-        if part is NoneType or (part is str and type(value) not in (str, int)):
+        if part is NoneType or (part is str and (isinstance(value, bool) or not isinstance(value, str | int | Path))):
             continue
         try:
             return _converted(value, part, key)
@@ -319,7 +325,8 @@ def _near(leaf: str, siblings: list[str]) -> list[str]:
     return short or [leaves[last] for last in difflib.get_close_matches(leaf, leaves, n=3, cutoff=0.6)]
 
 
-def _listed(names: Iterable[str]) -> str:
+def listed(names: Iterable[str]) -> str:
+    """Return names in quotes, with commas."""
     return ", ".join(f"'{name}'" for name in names) or "none"
 
 

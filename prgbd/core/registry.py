@@ -15,10 +15,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
-from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, PrgbdError, UnknownPluginError
+from prgbd.core.options import checked_arguments, keyword_parameters, listed
 
 if TYPE_CHECKING:
     from prgbd.core.data import Sequence
@@ -150,7 +150,7 @@ class Registry:
             return max(versions, key=lambda s: s.version or 0)
         near = difflib.get_close_matches(plugin_id, list(specs), n=3, cutoff=0.5)
         near += [s for s in specs if s not in near and parse_id(s)["name"] == plugin_id.rsplit("/", 1)[-1]]
-        hint = f"did you mean {_listed(near)}?" if near else f"there are {_listed(sorted(specs))}."
+        hint = f"did you mean {listed(near)}?" if near else f"there are {listed(sorted(specs))}."
         raise UnknownPluginError(f"There is no {kind} plug-in '{plugin_id}'; {hint}")
 
     def load(self, spec: PluginSpec) -> type[Any]:
@@ -183,7 +183,7 @@ class Registry:
 
     def options(self, kind: str, plugin_id: str) -> dict[str, inspect.Parameter]:
         """Return the constructor's keyword options of a plug-in (imports it)."""
-        return _options(self.load(self.resolve(kind, plugin_id)))
+        return keyword_parameters(self.load(self.resolve(kind, plugin_id)))
 
     def make(self, kind: str, plugin_id: str, *, checks: bool = True, **kwargs: Any) -> Any:
         """Make a plug-in, with the passive checks around it unless ``checks`` is False.
@@ -191,14 +191,13 @@ class Registry:
         Raises:
             UnknownPluginError: If the id is not registered.
             BrokenPluginError: If importing or constructing it fails.
-            ConfigError: If it has no option of a given name.
+            ConfigError: If it has no option of a given name, or one of another type.
         """
         from prgbd.core.testing.passive import with_checks
 
         spec = self.resolve(kind, plugin_id)
         cls = self.load(spec)
-        arguments = {**spec.kwargs, **kwargs}
-        _check_options(spec, cls, arguments)
+        arguments = _checked(spec, cls, {**spec.kwargs, **kwargs})
         try:
             plugin = cls(**arguments)
         except PrgbdError:
@@ -221,9 +220,7 @@ class Registry:
         if sequences is None:
             spec = self.resolve("data", plugin_id)
             cls = self.load(spec)
-            arguments = {**spec.kwargs, **kwargs}
-            _check_options(spec, cls, arguments)
-            names: list[Any] = cls.available(**arguments)
+            names: list[Any] = cls.available(**_checked(spec, cls, {**spec.kwargs, **kwargs}))
         else:
             names = list(sequences)
         if not names:
@@ -292,7 +289,7 @@ def specs(kind: str) -> list[PluginSpec]:
 
 def _check_kind(kind: str) -> None:
     if kind not in KINDS:
-        raise ConfigError(f"'{kind}' is no kind of plug-in; the kinds are {_listed(list(KINDS))}.")
+        raise ConfigError(f"'{kind}' is no kind of plug-in; the kinds are {listed(list(KINDS))}.")
 
 
 def _import(target: str) -> Any:
@@ -303,44 +300,12 @@ def _import(target: str) -> Any:
     return found
 
 
-def _options(cls: type[Any]) -> dict[str, inspect.Parameter]:
-    parameters = inspect.signature(cls).parameters
-    return {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
-
-
-def _check_options(spec: PluginSpec, cls: type[Any], arguments: Mapping[str, Any]) -> None:
-    """Refuse options that the class does not have; classes that take ``**kwargs`` judge for themselves."""
-    if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(cls).parameters.values()):
-        return
-    known = _options(cls)
-    for name, value in arguments.items():
-        if name not in known:
-            near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
-            hint = f"did you mean {_listed(near)}?" if near else f"its options are {_listed(sorted(known))}."
-            raise ConfigError(f"The {spec.kind} plug-in '{spec.id}' has no option '{name}'; {hint}")
-        wanted = _wanted_number(known[name].annotation, value)
-        if wanted:
-            raise ConfigError(
-                f"The option {spec.kind}.{name} is {value!r}; the {spec.kind} plug-in '{spec.id}' takes {wanted} there."
-            )
-    absent = [f"{spec.kind}.{n}" for n, p in known.items() if p.default is p.empty and n not in arguments]
-    if absent:
-        raise ConfigError(f"The {spec.kind} plug-in '{spec.id}' needs the option {' and '.join(absent)}; set it.")
-
-
-def _wanted_number(annotation: Any, value: Any) -> str:
-    """What an option that is annotated as a number wants in place of a value; "" where it takes it.
-
-    A text where a number belongs would else fail somewhere within the plug-in, with a message about neither.
-    """
-    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
-    types = {part.strip() for part in text.split("|")}
-    if not types & {"int", "float"} or types - {"int", "float", "None"}:
-        return ""
-    if isinstance(value, str | bool | list | tuple | Mapping):
-        return "a whole number" if "float" not in types else "a number"
-    fraction = "float" not in types and isinstance(value, Real) and not isinstance(value, Integral)
-    return "a whole number" if fraction else ""
+def _checked(spec: PluginSpec, cls: type[Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments with the types that the class wants; the message for others names the plug-in."""
+    try:
+        return checked_arguments(cls, arguments, spec.kind)
+    except ConfigError as error:
+        raise ConfigError(f"{spec.kind}={spec.id}: {error}") from None
 
 
 def _origin(entry: metadata.EntryPoint) -> str:
@@ -350,7 +315,3 @@ def _origin(entry: metadata.EntryPoint) -> str:
 def _summary(entry: metadata.EntryPoint) -> str:
     """The one line that a package says of itself: an entry point carries no description of its own."""
     return str(entry.dist.metadata["Summary"] or "") if entry.dist else ""
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(f"'{n}'" for n in names) or "none"

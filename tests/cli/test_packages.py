@@ -46,7 +46,7 @@ def test_their_options_are_known_by_the_plugin(cli, package):
     arguments = ("slam=test/sideways", "+depth=lab/net-v1", "data=test/wall", "task=slam", "out=run")
     refused = cli(*arguments, "depth.strat=2")
     assert refused.code == 2
-    assert "'start'" in refused.sentence
+    assert "'depth.start'" in refused.sentence
     assert start_depth(cli(*arguments, "depth.start=6")) == pytest.approx(6.0, rel=0.15)
 
 
