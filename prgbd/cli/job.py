@@ -9,18 +9,22 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import OmegaConf
 
 from prgbd.cli.display import Display, complain, log_file, quiet
 from prgbd.cli.parts import Parts, make_parts
-from prgbd.cli.settings import check_settings
+from prgbd.cli.settings import check_settings, trainer_factory
 from prgbd.core.errors import PrgbdError
 from prgbd.io.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
+
+if TYPE_CHECKING:
+    from prgbd.training.trainers import TrainerFactory
 
 log = logging.getLogger("prgbd")
 META = "run"  # the key of config.yaml under which prgbd keeps its own notes
@@ -44,6 +48,11 @@ class Job:
     store: RunStore
     display: Display
     here: Path
+
+    @cached_property
+    def trainer(self) -> TrainerFactory:
+        """The Lightning configuration of whatever the run trains and predicts."""
+        return trainer_factory(self.config)
 
     def shown(self, path: Path) -> str:
         """Return a path as the user would type it."""

@@ -13,8 +13,6 @@ from prgbd.cli.option_values import number, typed_options, whole
 from prgbd.core.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    import torch
-
     from prgbd.cli.parts import Parts
     from prgbd.core.computing import Computing
     from prgbd.core.depth import DepthEstimator
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
     from prgbd.loop.viewing import ViewerMaker
     from prgbd.training.pretraining_settings import PretrainingSettings
     from prgbd.training.refinement_settings import RefinementSettings
+    from prgbd.training.trainers import TrainerFactory
 
 
 BASELINES = ("mono", "posenet")
@@ -48,7 +47,6 @@ def check_settings(config: Mapping[str, Any]) -> None:
         raise ConfigError(f"seed is {seed!r}; it must be a whole number, 0 or more.")
     loop_settings(config, None)
     viewer_maker(config)
-    device(config)
     _check_cache(config)
     if task == "self_improve":
         refinement_settings(config)
@@ -57,9 +55,9 @@ def check_settings(config: Mapping[str, Any]) -> None:
         pretraining_settings(config)
         for name in WEIGHT_OPTIONS:
             _flag(config, name)
-    if task in ("self_improve", "pretrain"):
-        logger_maker(config)
-        _check_trainer(config["trainer"])
+    trains = task in ("self_improve", "pretrain")
+    if trains or config.get("depth"):
+        trainer_factory(config).check(trains=trains)
 
 
 def _check_cache(config: Mapping[str, Any]) -> None:
@@ -72,20 +70,15 @@ def _check_cache(config: Mapping[str, Any]) -> None:
         raise ConfigError(f"sensing.cache={cache} cannot be made ({error.strerror}); choose another folder.") from error
 
 
-def _check_trainer(options: Mapping[str, Any]) -> None:
-    """Let Lightning look at its options before anything is computed with them."""
-    import lightning
-    from lightning.pytorch.utilities.exceptions import MisconfigurationException
+def trainer_factory(config: Mapping[str, Any]) -> TrainerFactory:
+    """Return the Lightning configuration of ``trainer`` with the loggers of ``logger``.
 
-    from prgbd.cli.display import quiet
+    Raises:
+        ConfigError: If the logger is unknown or its package is missing.
+    """
+    from prgbd.training.trainers import TrainerFactory
 
-    quiet()
-    still = {"logger": False, "enable_progress_bar": False, "enable_checkpointing": False}
-    try:
-        lightning.Trainer(**{**options, **still})
-    except (TypeError, ValueError, MisconfigurationException) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"Lightning does not take the options trainer.*: {reason.rstrip('.')}.") from error
+    return TrainerFactory(config["trainer"], make_logger=logger_maker(config))
 
 
 def refinement_settings(config: Mapping[str, Any]) -> RefinementSettings:
@@ -304,21 +297,3 @@ def identity(config: Mapping[str, Any], parts: Parts) -> RunIdentity:
 
     ids = parts.ids
     return RunIdentity(config["task"]["name"], ids["slam"], ids["depth"], ids["data"], int(config["seed"]))
-
-
-def device(config: Mapping[str, Any]) -> torch.device:
-    """Return where the network predicts: on the GPU if the trainer works there.
-
-    Raises:
-        ConfigError: If a GPU is asked for and there is none.
-    """
-    import torch
-
-    accelerator = str(config["trainer"].get("accelerator", "cpu"))
-    if accelerator in ("gpu", "cuda"):
-        if not torch.cuda.is_available():
-            raise ConfigError("trainer=gpu needs a CUDA device and PyTorch sees none; use trainer=cpu.")
-        return torch.device("cuda")
-    if accelerator == "auto" and torch.cuda.is_available():
-        return torch.device("cuda")
-    return torch.device("cpu")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from prgbd.loop.monitor import Monitor, Progress
 from prgbd.loop.store import RunStore
 from prgbd.training.refinement import refine
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
+from prgbd.training.trainers import TrainerFactory
 
 
 class TrainingProgress(Callback):
@@ -51,71 +52,53 @@ class TrainingProgress(Callback):
             self._progress.advance(len(batch[0]), loss=f"{float(outputs['loss']):.4f}")
 
 
-class Refiner:
-    """Refines the network within a run.
+def refine_in_run(
+    estimator: DepthEstimator,
+    supervised: list[tuple[Sequence, SlamResult]],
+    settings: RefinementSettings,
+    trainer: TrainerFactory,
+    store: RunStore,
+    loop: int,
+    monitor: Monitor,
+) -> dict[str, Any] | None:
+    """Fine-tune the network in place; leave ``training/losses.csv`` and ``weights/`` in the loop's folder.
 
     Args:
+        estimator: The network, with the weights that SLAM ran with.
+        supervised: Recordings and what SLAM made of them.
         settings: Options of the refinement.
-        trainer_options: Options of ``lightning.Trainer``.
-        make_logger: Makes a Lightning logger for a folder, or None for none but ``losses.csv``.
+        trainer: The Lightning configuration of the run.
+        store: The run.
+        loop: Number of the loop.
+        monitor: Who watches.
+
+    Returns:
+        The figures of the training, or None if SLAM's output holds nothing to learn from.
     """
-
-    def __init__(
-        self,
-        settings: RefinementSettings,
-        trainer_options: Mapping[str, Any] | None = None,
-        make_logger: Callable[[Path], Any] | None = None,
-    ) -> None:
-        self.settings = settings
-        self.trainer_options = dict(trainer_options or {})
-        self.make_logger = make_logger
-
-    def refine(
-        self,
-        estimator: DepthEstimator,
-        supervised: list[tuple[Sequence, SlamResult]],
-        store: RunStore,
-        loop: int,
-        monitor: Monitor,
-    ) -> dict[str, Any] | None:
-        """Fine-tune the network in place; leave ``training/losses.csv`` and ``weights/`` in the loop's folder.
-
-        Args:
-            estimator: The network, with the weights that SLAM ran with.
-            supervised: Recordings and what SLAM made of them.
-            store: The run.
-            loop: Number of the loop.
-            monitor: Who watches.
-
-        Returns:
-            The figures of the training, or None if SLAM's output holds nothing to learn from.
-        """
-        folder = store.loop(loop, "training")
-        keyframes = sum(len(result.keyframes) for _, result in supervised)
-        options = {**self.trainer_options, "enable_progress_bar": False}
-        logger = self.make_logger(folder) if self.make_logger is not None else None
-        try:
-            with interruptible(), monitor.stage("Refinement", keyframes * self.settings.epochs) as progress:
-                options["callbacks"] = [TrainingProgress(progress, monitor.say)]
-                outcome = refine(estimator, supervised, self.settings, folder, options, logger)
-        except SlamError as error:
-            monitor.say(f"  {error}")
-            return None
-        write_losses(outcome.losses, folder / "losses.csv")
-        with store.new_folder(store.loop(loop, "weights")) as weights:
-            estimator.save_weights(weights)
-        return {
-            "held_out_before": outcome.held_out_before,
-            "held_out_after": outcome.held_out_after,
-            "samples": outcome.samples,
-            "train_samples": outcome.train_samples,
-            "held_out_samples": outcome.held_out_samples,
-            "keyframes": outcome.keyframes,
-            "skipped": sum(outcome.skipped.values()),
-            "skipped_because": "; ".join(f"{count} with {why}" for why, count in outcome.skipped.items()) or None,
-            "points_per_sample": outcome.points_per_sample,
-            "seconds": outcome.seconds,
-        }
+    folder = store.loop(loop, "training")
+    keyframes = sum(len(result.keyframes) for _, result in supervised)
+    try:
+        with interruptible(), monitor.stage("Refinement", keyframes * settings.epochs) as progress:
+            shown = trainer.extended(TrainingProgress(progress, monitor.say), enable_progress_bar=False)
+            outcome = refine(estimator, supervised, settings, folder, shown)
+    except SlamError as error:
+        monitor.say(f"  {error}")
+        return None
+    write_losses(outcome.losses, folder / "losses.csv")
+    with store.new_folder(store.loop(loop, "weights")) as weights:
+        estimator.save_weights(weights)
+    return {
+        "held_out_before": outcome.held_out_before,
+        "held_out_after": outcome.held_out_after,
+        "samples": outcome.samples,
+        "train_samples": outcome.train_samples,
+        "held_out_samples": outcome.held_out_samples,
+        "keyframes": outcome.keyframes,
+        "skipped": sum(outcome.skipped.values()),
+        "skipped_because": "; ".join(f"{count} with {why}" for why, count in outcome.skipped.items()) or None,
+        "points_per_sample": outcome.points_per_sample,
+        "seconds": outcome.seconds,
+    }
 
 
 def write_losses(rows: list[dict[str, Any]], path: Path) -> None:

@@ -19,13 +19,15 @@ from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.evidence import evidence
 from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor, SilentMonitor
-from prgbd.loop.refining import Refiner
+from prgbd.loop.refining import refine_in_run
 from prgbd.loop.sensing import DepthSensor, weights_fingerprint
 from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
 from prgbd.loop.store import RunStore
 from prgbd.loop.summary import RunIdentity, write_summary, write_truth
 from prgbd.loop.viewing import ViewerMaker
+from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.supervision import measured_gap
+from prgbd.training.trainers import TrainerFactory
 
 # Networks that know their scene err by 10 to 20 % against triangulated depth, those that do not by 40 to 50 %.
 _STRANGE = 0.3
@@ -41,10 +43,11 @@ class SelfImprovingLoop:
         estimator: The network, with its weights; it ends with the best ones.
         make_slam: Makes a SLAM system that supports mode ``rgbd``.
         sequences: Recordings to learn from, each with its own camera.
-        refiner: Refines the network on SLAM's output; None where there is no refinement (``max_loops`` 0).
-        settings: Options.
+        refinement: Options of the refinement; None where there is none (``max_loops`` 0).
+        settings: Options of the loop.
         store: Remembers the run.
         identity: What the run is about, for the summary.
+        trainer: The Lightning configuration that the network predicts and is refined with; by default on the CPU.
         test_sequences: Recordings that are sensed and evaluated in every loop but not learnt from.
         depth_tests: Images whose depth is evaluated in every loop, in place of that of the recordings; no SLAM runs on
             them, so they need not be neighbours in time.
@@ -58,11 +61,12 @@ class SelfImprovingLoop:
         estimator: DepthEstimator,
         make_slam: Callable[[], GeometricSLAM],
         sequences: list[Sequence],
-        refiner: Refiner | None,
+        refinement: RefinementSettings | None,
         settings: LoopSettings,
         store: RunStore,
         identity: RunIdentity,
         *,
+        trainer: TrainerFactory | None = None,
         test_sequences: list[Sequence] | None = None,
         depth_tests: list[Sequence] | None = None,
         monitor: Monitor | None = None,
@@ -74,7 +78,8 @@ class SelfImprovingLoop:
         self.sequences = sequences
         self.test_sequences = test_sequences or []
         self.depth_tests = depth_tests or []
-        self.refiner = refiner
+        self.refinement = refinement
+        self.trainer = trainer or TrainerFactory()
         self.settings = settings
         self.store = store
         self.identity = identity
@@ -208,7 +213,7 @@ class SelfImprovingLoop:
             )
 
     def _find(self, loop: int, sensor: DepthSensor) -> dict[str, Any]:
-        gap = 1 if self.refiner is None else self.refiner.settings.frame_gap
+        gap = 1 if self.refinement is None else self.refinement.frame_gap
         # All loops must be judged on the same pairs of frames.
         gap = gap or measured_gap(self._result(0, sensor.sequence))
         return evidence(self._result(loop, sensor.sequence), sensor, gap)
@@ -223,6 +228,7 @@ class SelfImprovingLoop:
             batch_size=self.settings.batch_size,
             monitor=self.monitor,
             computing=self.settings.computing,
+            fabric=self.trainer.fabric,
         )
 
     def _sense(self, sensor: DepthSensor) -> dict[str, Any]:
@@ -265,9 +271,11 @@ class SelfImprovingLoop:
         weights = self.store.loop(loop, "weights")
 
         def work() -> dict[str, Any] | None:
-            assert self.refiner is not None
+            assert self.refinement is not None
             supervised = [(sequence, self._teacher(loop, sequence)) for sequence in self.sequences]
-            return self.refiner.refine(self.estimator, supervised, self.store, loop, self.monitor)
+            return refine_in_run(
+                self.estimator, supervised, self.refinement, self.trainer, self.store, loop, self.monitor
+            )
 
         resumed = self.store.is_done(step_name(loop, "refine"))
         training = self.store.step(step_name(loop, "refine"), work)

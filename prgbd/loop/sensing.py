@@ -12,7 +12,7 @@ from collections.abc import Sequence as Many
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -29,6 +29,9 @@ from prgbd.core.testing.validation import check_depth_shape
 from prgbd.core.types import Frame
 from prgbd.io.files import atomic_path, read_json, write_json
 from prgbd.loop.monitor import Monitor, SilentMonitor
+
+if TYPE_CHECKING:
+    from lightning.fabric import Fabric
 
 _SUBSAMPLING = 8
 _LOOK_AHEAD = 2
@@ -77,7 +80,7 @@ class DepthSensor:
     memory does not grow with the sequence; it is resized to the image's size when a frame is asked for.
 
     Args:
-        estimator: The network; it is used in evaluation mode, on the device where it lies.
+        estimator: The network; it is used in evaluation mode.
         sequence: The recording.
         cache: Folder for the file of predicted depth. The name holds the plug-in, its weights and the recording.
         name: Id of the depth plug-in, for messages and the cache's name.
@@ -86,6 +89,7 @@ class DepthSensor:
             pass spends more of its time on the weights.
         monitor: Who watches.
         computing: Precision and speed of the network; by default exact.
+        fabric: Moves the network to its device; by default it predicts where it lies.
     """
 
     def __init__(
@@ -99,6 +103,7 @@ class DepthSensor:
         batch_size: int | None = None,
         monitor: Monitor | None = None,
         computing: Computing | None = None,
+        fabric: Fabric | None = None,
     ) -> None:
         self.estimator = estimator
         self.sequence = sequence
@@ -106,7 +111,9 @@ class DepthSensor:
         self.percentile = percentile
         self._monitor = monitor or SilentMonitor()
         self._computing = computing or Computing()
-        self._device = next((p.device for p in estimator.parameters()), torch.device("cpu"))
+        self._fabric = fabric
+        lies = next((p.device for p in estimator.parameters()), torch.device("cpu"))
+        self._device = lies if fabric is None else fabric.device
         self._batch_size = batch_size or self.automatic_batch_size(self._computing, self._device)
         key = cache_key(estimator, sequence, name, self._computing.description(self._device))
         stem = f"{sequence.name}-{key}"
@@ -191,6 +198,8 @@ class DepthSensor:
 
     def _predictions(self) -> Generator[NDArray[np.float32]]:
         """Yield the depth of every frame, (h, w): at the network's size, or what the plug-in's own `predict` gives."""
+        if self._fabric is not None:
+            self._fabric.to_device(self.estimator)  # every training leaves it on the CPU
         was_training = self.estimator.training
         self.estimator.eval()
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -123,8 +123,3 @@ def tensors_by_name() -> Iterator[None]:
         yield
     finally:
         torch.multiprocessing.set_sharing_strategy(before)
-
-
-def one_process(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options of ``lightning.Trainer`` for a measurement that every process would repeat anyway."""
-    return {k: v for k, v in options.items() if k not in ("strategy", "num_nodes", "callbacks")} | {"devices": 1}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from collections.abc import Sequence as Many
@@ -13,7 +12,6 @@ from typing import Any
 
 import lightning
 import torch
-from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.utilities.seed import isolate_rng
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from rich.progress import track
@@ -25,14 +23,14 @@ from prgbd.core.errors import ConfigError
 from prgbd.functional.colour import jittered
 from prgbd.functional.losses import photometric_loss, smoothness_loss
 from prgbd.functional.warping import invert_rigid
-from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
+from prgbd.training.checkpoints import Handover, StepCheckpoint, tensors_by_name
 from prgbd.training.images import image_folder
 from prgbd.training.optimizers import adam
 from prgbd.training.pretraining_data import DecodedSequence, PretrainingData, Triplets, decode
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.sampling import step_seed
-from prgbd.training.trainers import make_trainer
+from prgbd.training.trainers import TrainerFactory
 
 
 class DepthPretraining(lightning.LightningModule):
@@ -168,8 +166,7 @@ def pretrain(
     sequences: Many[Sequence],
     settings: PretrainingSettings,
     out: Path,
-    trainer_options: Mapping[str, Any] | None = None,
-    logger: Any = None,
+    trainer: TrainerFactory | None = None,
 ) -> dict[str, Any]:
     """Train a depth network and its pose network on unlabelled recordings, each with its own intrinsics.
 
@@ -180,15 +177,14 @@ def pretrain(
         sequences: The recordings.
         settings: All options.
         out: Folder for the checkpoint that a killed training goes on from, and for images that do not fit into memory.
-        trainer_options: Options of ``lightning.Trainer`` (accelerator, devices, precision, callbacks, ...).
-        logger: A Lightning logger, or several.
+        trainer: The Lightning configuration (accelerator, devices, precision, callbacks, ...).
 
     Returns:
         ``steps``, ``epochs``, ``train_samples``, ``held_out_samples``, ``still_frames`` per recording,
         ``held_out_before`` and ``held_out_after`` (total loss on held-out triplets), and ``seconds``.
 
     Raises:
-        ConfigError: If the network brings no pose network.
+        ConfigError: If the network brings no pose network, or Lightning refuses its configuration.
         DataError: If no frame moves, or an image cannot be read.
     """
     began = time.perf_counter()
@@ -198,10 +194,9 @@ def pretrain(
             f"{type(estimator).__name__} brings no pose network, which self-supervised pre-training needs; choose "
             "depth=monodepth2 or implement pose_network()."
         )
-    options = dict(trainer_options or {})
-    bar = options.pop("enable_progress_bar", sys.stderr.isatty())
+    factory = trainer or TrainerFactory()
     was_training = estimator.training
-    with _decoded(estimator, sequences, settings, out, bool(bar)) as sources, isolate_rng(), quiet_lightning():
+    with _decoded(estimator, sequences, settings, out, factory.bar) as sources, isolate_rng(), quiet_lightning():
         data = PretrainingData(sources, settings)
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         module = DepthPretraining(estimator, pose, settings)
@@ -209,15 +204,15 @@ def pretrain(
             module.to(memory_format=torch.channels_last)
         checkpoint = StepCheckpoint(out / "checkpoint", settings.checkpoint_minutes)
         handover = Handover(out, module)
-        trainer = _trainer(settings, out, options, bool(bar), logger, [checkpoint, handover])
-        gauge = _trainer(settings, out, one_process(options), False, logger, [])
+        defaults = {"max_epochs": settings.epochs, "max_steps": settings.max_steps, "log_every_n_steps": 10}
+        fitting, gauge = factory.pair(out, defaults, [checkpoint, handover], compiled=settings.compile)
         resumed = checkpoint.resumable()
         if resumed is None:
             module.held_out_before = gauge.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
         module.train()
         with tensors_by_name():
-            trainer.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
-        module.steps = int(trainer.global_step)
+            fitting.fit(module, datamodule=data, ckpt_path=resumed, weights_only=True)
+        module.steps = int(fitting.global_step)
         handover.collect()
         after = gauge.validate(module, datamodule=data, verbose=False)[0]["held_out/total"]
     estimator.train(was_training)
@@ -248,23 +243,3 @@ def _decoded(
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def _trainer(
-    settings: PretrainingSettings,
-    out: Path,
-    options: Mapping[str, Any],
-    bar: bool,
-    logger: Any,
-    callbacks: Many[Callback],
-) -> lightning.Trainer:
-    length = {"max_epochs": settings.epochs, "max_steps": settings.max_steps}
-    return make_trainer(
-        out,
-        {**options, **length},
-        {"log_every_n_steps": 10},
-        callbacks=callbacks,
-        compiled=settings.compile,
-        bar=bar,
-        logger=logger,
-    )

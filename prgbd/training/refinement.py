@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import shutil
-import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from collections.abc import Sequence as Many
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -18,7 +17,6 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
-from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.utilities.seed import isolate_rng
 
 from prgbd.core.data import Sequence
@@ -27,7 +25,7 @@ from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
 from prgbd.functional.sparse_losses import sample_patches
 from prgbd.training.batch_statistics import measure_batch_statistics
-from prgbd.training.checkpoints import Handover, StepCheckpoint, one_process, tensors_by_name
+from prgbd.training.checkpoints import Handover, StepCheckpoint, tensors_by_name
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
@@ -40,7 +38,7 @@ from prgbd.training.refinement_data import (
 from prgbd.training.refinement_module import DepthRefinement, LossRows, points_at
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.supervision import Supervision, keyframe_samples
-from prgbd.training.trainers import make_trainer
+from prgbd.training.trainers import TrainerFactory
 
 _SCALE_SAMPLES = 16
 
@@ -82,8 +80,7 @@ def refine(
     supervised: Many[tuple[Sequence, SlamResult]],
     settings: RefinementSettings,
     out: Path,
-    trainer_options: Mapping[str, Any] | None = None,
-    logger: Any = None,
+    trainer: TrainerFactory | None = None,
 ) -> RefinementOutcome:
     """Fine-tune a depth network on what SLAM found out about one or several sequences.
 
@@ -97,13 +94,13 @@ def refine(
         settings: All options of the refinement.
         out: Folder for images that do not fit into memory, and for the checkpoint that a killed refinement goes on
             from.
-        trainer_options: Options of ``lightning.Trainer`` (accelerator, devices, precision, ...).
-        logger: A Lightning logger, or several.
+        trainer: The Lightning configuration (accelerator, devices, precision, callbacks, ...).
 
     Returns:
         Losses, the label-free criterion before and after, and what became of the keyframes.
 
     Raises:
+        ConfigError: If Lightning refuses its configuration.
         SlamError: If no keyframe of any sequence can supervise depth.
         DataError: If an image cannot be read, or SLAM saw images of another size.
     """
@@ -116,7 +113,7 @@ def refine(
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         data = RefinementData(sources, settings)
         key = _key(estimator, settings, sources)
-        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer_options or {}, logger, key)
+        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer or TrainerFactory(), key)
     estimator.train(was_training)
     held_out = [row for row in rows if row["split"] == "held_out"]
     return RefinementOutcome(
@@ -140,14 +137,16 @@ def _scales(sources: list[SupervisedImages]) -> dict[str, float]:
 
 
 def _fit(
-    module: DepthRefinement, data: RefinementData, out: Path, trainer_options: Mapping[str, Any], logger: Any, key: str
+    module: DepthRefinement, data: RefinementData, out: Path, factory: TrainerFactory, key: str
 ) -> list[dict[str, Any]]:
     """Measure the criterion, train, measure it again; return the rows of losses."""
     settings, rows = module.settings, LossRows()
     checkpoint = StepCheckpoint(out / "checkpoint", settings.checkpoint_minutes, epochs=settings.checkpoint, key=key)
     handover = Handover(out, rows)
-    trainer = _trainer(settings, out, trainer_options, logger, [rows, checkpoint, handover])
-    gauge = _trainer(settings, out, one_process(trainer_options), logger, [rows])
+    defaults = {"max_epochs": settings.epochs, "log_every_n_steps": 1}
+    trainer, gauge = factory.pair(
+        out, defaults, [rows, checkpoint, handover], measuring=[rows], compiled=settings.compile
+    )
     resumed = checkpoint.resumable()
     if resumed is None:
         gauge.validate(module, datamodule=data, verbose=False)
@@ -174,20 +173,6 @@ def _measure_statistics(module: DepthRefinement, data: RefinementData, trainer: 
         return measure_batch_statistics(module.estimator, (images.to(device) for images in data.mixed_keyframes())) > 0
     finally:
         module.to(home)
-
-
-def _trainer(
-    settings: RefinementSettings, out: Path, trainer_options: Mapping[str, Any], logger: Any, callbacks: list[Callback]
-) -> lightning.Trainer:
-    return make_trainer(
-        out,
-        trainer_options,
-        {"max_epochs": settings.epochs, "log_every_n_steps": 1},
-        callbacks=callbacks,
-        compiled=settings.compile,
-        bar=bool(trainer_options.get("enable_progress_bar", sys.stderr.isatty())),
-        logger=logger,
-    )
 
 
 def _key(estimator: DepthEstimator, settings: RefinementSettings, sources: Many[SupervisedImages]) -> str:

@@ -12,6 +12,7 @@ from torch import nn
 from prgbd.core.types import DepthPrediction
 from prgbd.training.refinement import refine
 from prgbd.training.refinement_settings import RefinementSettings
+from prgbd.training.trainers import TrainerFactory
 
 from .scenes import WallSequence, true_slam_result
 from .test_refinement import TiltNet
@@ -58,7 +59,7 @@ def wall():
 
 def trained(wall, folder, settings=QUICK, *callbacks, **trainer):
     network = Noisy()
-    outcome = refine(network, [wall], settings, folder, {"callbacks": list(callbacks), **trainer})
+    outcome = refine(network, [wall], settings, folder, TrainerFactory(trainer, callbacks))
     return network.state_dict(), outcome
 
 

@@ -18,13 +18,14 @@ from prgbd.training.pretraining import DepthPretraining, pretrain
 from prgbd.training.pretraining_data import PretrainingData, Triplets, decode
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.sampling import EpochSampler
+from prgbd.training.trainers import TrainerFactory
 
 from .scenes import WallSequence
 
 QUICK = PretrainingSettings(
     epochs=6, batch_size=4, learning_rate=1e-2, lr_step_epoch=5, augment=False, min_motion=0.0, val_fraction=0.2
 )
-QUIET = {"enable_progress_bar": False}
+QUIET = TrainerFactory({"enable_progress_bar": False})
 
 
 class ConstantMotion(nn.Module):
@@ -112,9 +113,9 @@ def test_learning_rate_steps_down_and_losses_are_logged(tmp_path):
             rates.append(trainer.optimizers[0].param_groups[0]["lr"])
 
     settings = replace(QUICK, epochs=4, lr_step_epoch=2)
-    options = {**QUIET, "callbacks": [Watch()], "log_every_n_steps": 1}
     logger = CSVLogger(tmp_path, name="", version="")
-    pretrain(PlaneNet(), [WallSequence(12)], settings, tmp_path / "run", options, logger)
+    trainer = QUIET.extended(Watch(), log_every_n_steps=1, logger=logger)
+    pretrain(PlaneNet(), [WallSequence(12)], settings, tmp_path / "run", trainer)
     np.testing.assert_allclose(rates, [1e-2, 1e-2, 1e-3, 1e-3])
     logger.save()
     header = (tmp_path / "metrics.csv").read_text().splitlines()[0].split(",")
@@ -164,8 +165,8 @@ def test_killed_training_ends_as_if_it_had_not_been(tmp_path):
 
     def train(folder, *callbacks, **changes):
         network = Noisy()
-        options = {**QUIET, "callbacks": list(callbacks)}
-        return network, pretrain(network, [sequence], replace(settings, **changes), tmp_path / folder, options)
+        trainer = QUIET.extended(*callbacks)
+        return network, pretrain(network, [sequence], replace(settings, **changes), tmp_path / folder, trainer)
 
     whole, expected = train("whole")
     steps = expected["steps"] // 4
@@ -190,9 +191,7 @@ def test_killed_after_the_last_step_in_the_midst_of_an_epoch(tmp_path):
     def train(folder, *callbacks):
         network = Noisy()
         settings = replace(QUICK, max_steps=5, augment=True)
-        return network, pretrain(
-            network, [WallSequence(14)], settings, tmp_path / folder, {**QUIET, "callbacks": [*callbacks]}
-        )
+        return network, pretrain(network, [WallSequence(14)], settings, tmp_path / folder, QUIET.extended(*callbacks))
 
     whole, expected = train("whole")
     assert expected["steps"] == 5
@@ -211,8 +210,8 @@ def test_killed_training_does_not_repeat_finished_epochs(tmp_path):
             epochs.append(trainer.current_epoch)
 
     with pytest.raises(RuntimeError, match="killed"):
-        pretrain(PlaneNet(), [WallSequence(12)], QUICK, tmp_path, {**QUIET, "callbacks": [Kill(epoch=3)]})
-    pretrain(PlaneNet(), [WallSequence(12)], QUICK, tmp_path, {**QUIET, "callbacks": [Count()]})
+        pretrain(PlaneNet(), [WallSequence(12)], QUICK, tmp_path, QUIET.extended(Kill(epoch=3)))
+    pretrain(PlaneNet(), [WallSequence(12)], QUICK, tmp_path, QUIET.extended(Count()))
     assert epochs == [3, 4, 5]
 
 
@@ -237,9 +236,9 @@ def test_images_beyond_the_memory_lie_in_a_file_that_goes(tmp_path):
 
     sequences, settings = [WallSequence(10), WallSequence(8, name="second")], replace(QUICK, epochs=2)
     networks = [PlaneNet(), PlaneNet()]
-    pretrain(networks[0], sequences, settings, tmp_path, {**QUIET, "callbacks": [Look()]})
+    pretrain(networks[0], sequences, settings, tmp_path, QUIET.extended(Look()))
     assert seen == []
-    pretrain(networks[1], sequences, replace(settings, memory_mb=0), tmp_path, {**QUIET, "callbacks": [Look()]})
+    pretrain(networks[1], sequences, replace(settings, memory_mb=0), tmp_path, QUIET.extended(Look()))
     assert seen == ["0.npy", "1.npy"]
     assert not (tmp_path / "images").exists()
     assert same(weights_of(networks[0]), weights_of(networks[1]))

@@ -4,11 +4,12 @@ import pytest
 import torch
 
 from prgbd.training.refinement import refine
+from prgbd.training.trainers import TrainerFactory
 
 from .scenes import WallSequence, true_slam_result
 from .test_checkpoints import QUICK, STEPS, Noisy
 
-TWO = {"strategy": "ddp_spawn", "devices": 2, "accelerator": "cpu"}
+TWO = TrainerFactory({"strategy": "ddp_spawn", "devices": 2, "accelerator": "cpu"})
 
 
 @pytest.mark.skipif(not torch.distributed.is_available(), reason="this PyTorch was built without torch.distributed")

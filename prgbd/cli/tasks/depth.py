@@ -42,7 +42,7 @@ def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
     assert job.parts.estimator is not None
     cache = job.config["sensing"].get("cache")
     return DepthSensor(
-        job.parts.estimator.to(settings.device(job.config)),
+        job.parts.estimator,
         sequence,
         job.store.path("cache") if cache is None else Path(cache),
         name=job.parts.ids["depth"],
@@ -50,6 +50,7 @@ def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
         batch_size=settings.batch_size(job.config),
         monitor=job.display,
         computing=settings.computing(job.config),
+        fabric=job.trainer.fabric,
     )
 
 

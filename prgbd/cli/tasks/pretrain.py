@@ -6,7 +6,6 @@ from typing import Any
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
-from prgbd.cli.loggers import logger_maker
 from prgbd.cli.tasks.depth import evaluate, make_sensor
 from prgbd.cli.tasks.reporting import report
 from prgbd.loop.interrupts import interruptible
@@ -42,17 +41,9 @@ def _train(job: Job, weight_options: dict[str, bool]) -> dict[str, Any]:
     if options.max_steps > 0:
         total = min(total, options.max_steps * options.batch_size)
     folder = job.store.path("training")
-    make_logger = logger_maker(job.config)
     with interruptible(), job.display.stage("Pre-training", total) as progress:
-        callbacks = [TrainingProgress(progress, job.display.say)]
-        figures = pretrain(
-            estimator.to(settings.device(job.config)),
-            sequences,
-            options,
-            folder,
-            {**job.config["trainer"], "callbacks": callbacks, "enable_progress_bar": False},
-            make_logger(folder) if make_logger is not None else None,
-        )
+        shown = job.trainer.extended(TrainingProgress(progress, job.display.say), enable_progress_bar=False)
+        figures = pretrain(estimator, sequences, options, folder, shown)
     with job.store.new_folder(job.store.path("weights")) as weights:
         estimator.save_weights(weights, **weight_options)
     return figures

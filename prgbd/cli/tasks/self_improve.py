@@ -6,10 +6,8 @@ from typing import Any
 
 from prgbd.cli import settings
 from prgbd.cli.job import Job
-from prgbd.cli.loggers import logger_maker
 from prgbd.cli.tasks.reporting import report
 from prgbd.loop.baselines import run_baseline
-from prgbd.loop.refining import Refiner
 from prgbd.loop.self_improving import SelfImprovingLoop
 
 
@@ -18,16 +16,16 @@ def run(job: Job) -> None:
     parts, config = job.parts, job.config
     assert parts.estimator is not None
     assert parts.make_slam is not None
-    refiner = Refiner(settings.refinement_settings(config), dict(config["trainer"]), logger_maker(config))
     baselines = _baselines(job)
     loop = SelfImprovingLoop(
-        parts.estimator.to(settings.device(config)),
+        parts.estimator,
         parts.make_slam,
         parts.sequences,
-        refiner,
+        settings.refinement_settings(config),
         settings.loop_settings(config, parts.baseline),
         job.store,
         settings.identity(config, parts),
+        trainer=job.trainer,
         test_sequences=parts.test_sequences,
         depth_tests=parts.depth_tests,
         monitor=job.display,

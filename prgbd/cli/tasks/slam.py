@@ -38,13 +38,14 @@ def _on_pseudo_depth(job: Job) -> dict[str, Any]:
     assert parts.estimator is not None
     assert parts.make_slam is not None
     loop = SelfImprovingLoop(
-        parts.estimator.to(settings.device(config)),
+        parts.estimator,
         parts.make_slam,
         [*parts.sequences, *parts.test_sequences],
         None,
         replace(settings.loop_settings(config, parts.baseline), max_loops=0),
         job.store,
         settings.identity(config, parts),
+        trainer=job.trainer,
         monitor=job.display,
         make_viewer=settings.viewer_maker(config),
     )
