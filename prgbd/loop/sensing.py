@@ -5,11 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
-from collections import deque
 from collections.abc import Generator, Iterator
 from collections.abc import Sequence as Many
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,17 +25,13 @@ from prgbd.core.slam import adaptive_baseline
 from prgbd.core.testing.validation import check_depth_shape
 from prgbd.core.types import Frame
 from prgbd.io.files import atomic_path, read_json, write_json
+from prgbd.loop.decoding import Batch, decoded
 from prgbd.loop.monitor import Monitor, SilentMonitor
 
 if TYPE_CHECKING:
     from lightning.fabric import Fabric
 
 _SUBSAMPLING = 8
-_LOOK_AHEAD = 2
-"""Batches that are decoded while the network works on another one."""
-
-Batch = tuple[range, list[NDArray[np.uint8]], torch.Tensor | None]
-"""Frames, their images, and the images at the network's size unless the plug-in brings its own ``predict``."""
 
 
 @dataclass(frozen=True)
@@ -214,41 +207,13 @@ class DepthSensor:
             self.estimator.train(was_training)
 
     def _decoded(self) -> Generator[Batch]:
-        """Yield decoded batches; a thread of its own is ahead by a few where the network leaves a core to it."""
+        """Yield decoded batches, prepared for the network unless the plug-in brings its own ``predict``."""
+
+        def prepare(images: list[NDArray[np.uint8]]) -> torch.Tensor:
+            return self._computing.stacked([self.estimator.preprocess(image) for image in images])
+
         brings_predict = type(self.estimator).predict is not DepthEstimator.predict
-        cores, threads = os.cpu_count() or 1, torch.get_num_threads()
-        takes_all = self._device.type == "cpu" and threads >= cores
-        # What the network leaves; where it leaves nothing, it waits, and all of its threads may decode.
-        free = threads if takes_all else cores - threads if self._device.type == "cpu" else cores
-
-        def decode(indices: range) -> Batch:
-            images = self._images(indices, free)
-            if brings_predict:
-                return indices, images, None
-            return indices, images, self._computing.stacked([self.estimator.preprocess(image) for image in images])
-
-        count, size = len(self.sequence), self._batch_size
-        if takes_all:
-            # A thread beside convolutions that take every core makes all of them wait for the one it sits on.
-            for start in range(0, count, size):
-                yield decode(range(start, min(start + size, count)))
-            return
-        with ThreadPoolExecutor(1, "decode") as thread:
-            ahead: deque[Future[Batch]] = deque()
-            for start in range(0, count, size):
-                ahead.append(thread.submit(decode, range(start, min(start + size, count))))
-                if len(ahead) > _LOOK_AHEAD:
-                    yield ahead.popleft().result()
-            while ahead:
-                yield ahead.popleft().result()
-
-    def _images(self, indices: range, threads: int) -> list[NDArray[np.uint8]]:
-        """Decode frames, by several threads where the recording allows it."""
-        threads = min(threads, len(indices))
-        if threads < 2 or not self.sequence.concurrent:
-            return [self.sequence.frame(index).image for index in indices]
-        with ThreadPoolExecutor(threads, "decode") as pool:
-            return [frame.image for frame in pool.map(self.sequence.frame, indices)]
+        return decoded(self.sequence, self._batch_size, self._device, None if brings_predict else prepare)
 
     def _predict(
         self, indices: range, images: list[NDArray[np.uint8]], batch: torch.Tensor | None

@@ -68,8 +68,8 @@ def test_batches_make_no_difference(tmp_path, size):
 
 @pytest.mark.parametrize("threads", [1, 64])
 def test_frames_come_in_order_whether_a_thread_decodes_or_not(tmp_path, monkeypatch, threads):
-    monkeypatch.setattr("prgbd.loop.sensing.torch.get_num_threads", lambda: threads)
-    monkeypatch.setattr("prgbd.loop.sensing.os.cpu_count", lambda: 8)
+    monkeypatch.setattr("prgbd.loop.decoding.torch.get_num_threads", lambda: threads)
+    monkeypatch.setattr("prgbd.loop.decoding.os.cpu_count", lambda: 8)
     decoded = []
     sensor = make(Tiny(), tmp_path)
     frame = sensor.sequence.frame
@@ -85,8 +85,8 @@ def test_frames_come_in_order_whether_a_thread_decodes_or_not(tmp_path, monkeypa
 
 @pytest.mark.parametrize("concurrent", [False, True])
 def test_several_threads_decode_only_where_the_recording_allows_it(tmp_path, monkeypatch, concurrent):
-    monkeypatch.setattr("prgbd.loop.sensing.torch.get_num_threads", lambda: 2)
-    monkeypatch.setattr("prgbd.loop.sensing.os.cpu_count", lambda: 2)
+    monkeypatch.setattr("prgbd.loop.decoding.torch.get_num_threads", lambda: 2)
+    monkeypatch.setattr("prgbd.loop.decoding.os.cpu_count", lambda: 2)
     network = Tiny()
     sensor, alone = (make(network, tmp_path / name, batch_size=4) for name in ("a", "b"))
     sensor.sequence.concurrent = concurrent
