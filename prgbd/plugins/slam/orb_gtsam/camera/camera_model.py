@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.types import PinholeCamera
 from prgbd.plugins.slam.orb_gtsam.camera.chi_square import CHI2_MONO, CHI2_STEREO
 from prgbd.plugins.slam.orb_gtsam.camera.depth_noise import DepthNoise
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 if TYPE_CHECKING:
     from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
@@ -197,7 +197,7 @@ def measurements(uv: NDArray[np.floating], u_right: NDArray[np.floating]) -> Flo
     return uvr
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _project(
     xyz: np.ndarray,
     normal: np.ndarray,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from prgbd.plugins.slam.orb_gtsam.features.matching import hamming, keep_common_rotation
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 _FAR = 1 << 20
 # 95 % limit of one degree of freedom, for the distance from the line; and the square of the pixels that a partner must
@@ -14,7 +14,7 @@ _CHI2_LINE = 3.84
 _EPIPOLE_RADIUS2 = 100.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def search_segments(
     rows: np.ndarray, uv: np.ndarray, c2Tc1: np.ndarray, camera: np.ndarray, nearest: float
 ) -> np.ndarray:
@@ -45,7 +45,7 @@ def search_segments(
     return ends
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _partners(
     uv: np.ndarray,
     octave: np.ndarray,
@@ -75,7 +75,7 @@ def _partners(
     return place[:n], index[:n], start
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _best_on_line(
     line: np.ndarray,
     ends: np.ndarray,
@@ -127,7 +127,7 @@ def _best_on_line(
     return chosen, best, second
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def match_along_epipolar_lines(
     rows: np.ndarray,
     uv1: np.ndarray,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 PATCH_RADIUS = 15
 
@@ -29,7 +30,7 @@ def _patch_widths() -> NDArray[np.int64]:
 _PATCH_WIDTHS = _patch_widths()
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _highest_arc(
     p0: np.int16, p1: np.int16, p2: np.int16, p3: np.int16, p4: np.int16, p5: np.int16, p6: np.int16, p7: np.int16,
     p8: np.int16, p9: np.int16, p10: np.int16, p11: np.int16, p12: np.int16, p13: np.int16, p14: np.int16,
@@ -50,7 +51,7 @@ def _highest_arc(
     return max(max(max(c1, c3), max(c5, c7)), max(max(c9, c11), max(c13, c15)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def fast_scores(image: np.ndarray, threshold: int, border: int, scores: np.ndarray) -> None:
     """Fill ``scores`` with FAST-9/16 contrasts above ``threshold``, 0 elsewhere.
 
@@ -87,7 +88,7 @@ def fast_scores(image: np.ndarray, threshold: int, border: int, scores: np.ndarr
             out[o] = np.uint8(contrast) if contrast > t else np.uint8(0)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def corners(
     scores: np.ndarray, threshold: int, cell: int, border: int, out_xy: np.ndarray, out_score: np.ndarray
 ) -> int:
@@ -135,7 +136,7 @@ def corners(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _best_of_cells(
     xy: np.ndarray, score: np.ndarray, count: int, width: int, height: int, side: float, best: np.ndarray
 ) -> int:
@@ -153,7 +154,7 @@ def _best_of_cells(
     return occupied
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def select_evenly(xy: np.ndarray, score: np.ndarray, count: int, width: int, height: int, wanted: int) -> np.ndarray:
     """Choose about ``wanted`` corners spread over the image: the strongest of each occupied cell.
 
@@ -187,7 +188,7 @@ def select_evenly(xy: np.ndarray, score: np.ndarray, count: int, width: int, hei
     return chosen[chosen >= 0].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def orientations(image: np.ndarray, xy: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the direction of the intensity centroid of a circular patch, (S,) float32 degrees in [0, 360)."""
     angles = np.empty(len(rows), np.float32)
@@ -208,7 +209,7 @@ def orientations(image: np.ndarray, xy: np.ndarray, rows: np.ndarray) -> np.ndar
     return angles
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def cell_order(uv: np.ndarray, columns: int, rows: int, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """Sort keypoints by grid cell, row by row, so that a cell is a range of keypoints.
 

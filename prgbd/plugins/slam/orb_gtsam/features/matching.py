@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.features.extraction import GRID_CELL, Features
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 HISTOGRAM_BINS = 30
 _FAR = 1 << 20
@@ -15,7 +15,7 @@ _NO_ANGLES = np.zeros(0, np.float32)
 IntArray = NDArray[np.int64]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def hamming(a: np.ndarray, b: np.ndarray) -> int:
     """Return the number of different bits of two descriptors, (4,) uint64 each."""
     total = np.uint64(0)
@@ -29,7 +29,7 @@ def hamming(a: np.ndarray, b: np.ndarray) -> int:
     return int(total)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def keep_common_rotation(match: np.ndarray, angles: np.ndarray, frame_angles: np.ndarray) -> None:
     """Undo matches whose rotation is not among the three commonest, in place."""
     counts = np.zeros(HISTOGRAM_BINS, np.int64)
@@ -52,7 +52,7 @@ def keep_common_rotation(match: np.ndarray, angles: np.ndarray, frame_angles: np
                 match[i] = -1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _by_window(
     uvr: np.ndarray,
     radius: np.ndarray,
@@ -179,7 +179,7 @@ def match_by_projection(
     return matched
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _brute_force(
     descriptors: np.ndarray,
     angles: np.ndarray,

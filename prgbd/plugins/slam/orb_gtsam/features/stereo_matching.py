@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.features.matching import hamming
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 # ORB-SLAM2 (Frame::ComputeStereoMatches): rows within 2 pixels of the right keypoint's level, a distance of at most the
 # mean of TH_HIGH and TH_LOW, windows of 11 x 11 pixels moved by up to 5, outliers beyond 1.5 * 1.4 medians.
@@ -79,7 +79,7 @@ def match_stereo(
     return depth, u_right
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _rows_of(uv: np.ndarray, octave: np.ndarray, scales: np.ndarray, height: int) -> tuple[np.ndarray, np.ndarray]:
     """List the keypoints that may match each image row, as starts (height + 1,) and members."""
     count = np.zeros(height + 1, np.int64)
@@ -100,7 +100,7 @@ def _rows_of(uv: np.ndarray, octave: np.ndarray, scales: np.ndarray, height: int
     return start, members
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _partners(
     uv: np.ndarray,
     octave: np.ndarray,
@@ -131,7 +131,7 @@ def _partners(
     return partner
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _difference(left: np.ndarray, right: np.ndarray, x: int, x_right: int, y: int) -> float:
     """Sum of absolute differences of two windows after their means are taken away."""
     w = _HALF_WINDOW
@@ -148,7 +148,7 @@ def _difference(left: np.ndarray, right: np.ndarray, x: int, x_right: int, y: in
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _refine(
     left: np.ndarray, right: np.ndarray, uv: np.ndarray, right_uv: np.ndarray, scale_x: float, scale_y: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -18,7 +19,7 @@ FloatArray = NDArray[np.float64]
 _SMALL = 1e-5
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def exp_se3_into(xi: FloatArray, out: FloatArray) -> None:
     """Write the transform of the twist ``xi`` (6,) into ``out`` (>= 3, 4); a last row, if any, is left alone."""
     x, y, z = xi[0], xi[1], xi[2]
@@ -43,7 +44,7 @@ def exp_se3_into(xi: FloatArray, out: FloatArray) -> None:
     out[2, 3] = keep * vz + b * (x * vy - y * vx) + along * z
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def compose_into(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """Write ``a @ b`` of two rigid transforms (>= 3, 4) into ``out``, which must be neither."""
     for i in range(3):
@@ -52,7 +53,7 @@ def compose_into(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
         out[i, 3] += a[i, 3]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def orthonormalise(pose: FloatArray) -> None:
     """Restore a rotation that drifted by rounding, in place, by Gram-Schmidt on its rows."""
     n = math.sqrt(pose[0, 0] ** 2 + pose[0, 1] ** 2 + pose[0, 2] ** 2)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from prgbd.plugins.slam.orb_gtsam.camera.chi_square import CHI2_MONO, CHI2_STEREO
 from prgbd.plugins.slam.orb_gtsam.geometry.two_view import triangulate_into
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 # ORB-SLAM2 (LocalMapping::CreateNewMapPoints).
 _MAX_PARALLAX_COSINE = 0.9998
@@ -17,7 +17,7 @@ _SCALE_TOLERANCE = 1.5
 _NO_STEREO = 2.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _stereo_cosine(depth: float, u_right: float, sigma: float, baseline: float) -> float:
     """Cosine of the parallax that the (virtual) stereo pair gives; 2 without depth."""
     if depth > 0 and u_right >= 0:
@@ -26,20 +26,20 @@ def _stereo_cosine(depth: float, u_right: float, sigma: float, baseline: float) 
     return _NO_STEREO
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _to_camera(cTw: np.ndarray, p: np.ndarray, out: np.ndarray) -> None:
     for i in range(3):
         out[i] = cTw[i, 0] * p[0] + cTw[i, 1] * p[1] + cTw[i, 2] * p[2] + cTw[i, 3]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _to_world(cTw: np.ndarray, p: np.ndarray, out: np.ndarray) -> None:
     x, y, z = p[0] - cTw[0, 3], p[1] - cTw[1, 3], p[2] - cTw[2, 3]
     for j in range(3):
         out[j] = cTw[0, j] * x + cTw[1, j] * y + cTw[2, j] * z
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _agrees(
     p: np.ndarray, u: float, v: float, u_right: float, sigma: float, fallback: bool, scale: float, camera: np.ndarray
 ) -> bool:
@@ -59,7 +59,7 @@ def _agrees(
     return square <= limit * variance
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _parallax_cosine(c2Tc1: np.ndarray, ray1: np.ndarray, ray2: np.ndarray) -> float:
     """Cosine of the angle between two rays ``(x, y, 1)`` of two cameras."""
     dot, square = 0.0, 0.0
@@ -70,7 +70,7 @@ def _parallax_cosine(c2Tc1: np.ndarray, ray1: np.ndarray, ray2: np.ndarray) -> f
     return dot / math.sqrt(square * (ray2[0] * ray2[0] + ray2[1] * ray2[1] + 1.0))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _lift(
     u: float, v: float, depth: float, cTw: np.ndarray, camera: np.ndarray, p: np.ndarray, out: np.ndarray
 ) -> None:
@@ -78,7 +78,7 @@ def _lift(
     _to_world(cTw, p, out)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def place_pairs(
     rows: np.ndarray,
     partners: np.ndarray,

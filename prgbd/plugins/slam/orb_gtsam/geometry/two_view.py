@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.geometry.two_view_ambiguity import search_motions
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -261,7 +261,7 @@ def triangulate_pairs(c1Tw: FloatArray, c2Tw: FloatArray, rays1: FloatArray, ray
     return points @ wTc1[:3, :3].T + wTc1[:3, 3]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def triangulate_into(c2Tc1: FloatArray, rays1: FloatArray, rays2: FloatArray, points: FloatArray) -> None:
     """Fill ``points`` in coordinates of camera 1."""
     E = np.empty((3, 3))
@@ -284,7 +284,7 @@ def triangulate_into(c2Tc1: FloatArray, rays1: FloatArray, rays2: FloatArray, po
         points[k, 0], points[k, 1], points[k, 2] = depth * x1, depth * y1, depth
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _onto_epipolar_lines(
     E: FloatArray, x1: float, y1: float, x2: float, y2: float
 ) -> tuple[float, float, float, float]:

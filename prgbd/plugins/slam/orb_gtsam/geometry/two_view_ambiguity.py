@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -95,7 +96,7 @@ def _shares(c2Tc1: FloatArray, rays1: FloatArray, rays2: FloatArray, focal: tupl
     return float(np.mean((depth1 > 0) & (depth2 > 0))), float(np.mean((depth1 < 0) & (depth2 < 0)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def descend(
     rotation: FloatArray,
     direction: FloatArray,
@@ -152,7 +153,7 @@ def descend(
     return cost
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _turned(R: FloatArray, w0: float, w1: float, w2: float) -> FloatArray:
     """Return exp(w) R by Rodrigues' formula."""
     angle = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
@@ -162,7 +163,7 @@ def _turned(R: FloatArray, w0: float, w1: float, w2: float) -> FloatArray:
     return (np.eye(3) + a * W + b * (W @ W)) @ R
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _across(t: FloatArray) -> FloatArray:
     """Return two directions across ``t``, (3, 2)."""
     axis = np.zeros(3)
@@ -174,7 +175,7 @@ def _across(t: FloatArray) -> FloatArray:
     return B
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _linearise(
     R: FloatArray,
     t: FloatArray,

@@ -6,10 +6,10 @@ import threading
 from collections.abc import Iterable
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 from prgbd.plugins.slam.orb_gtsam.loop_closing.vocabulary import Vocabulary
 
 IntArray = NDArray[np.int64]
@@ -222,7 +222,7 @@ class _Bags:
         self.size = np.concatenate([self.size, np.zeros(extra, np.int64)])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _scores(asked: np.ndarray, words: np.ndarray, weights: np.ndarray, size: np.ndarray) -> np.ndarray:
     """L1 scores of normalised bags: 1 - |a - b| / 2, which is the sum over common words of the smaller weight."""
     out = np.zeros(len(size))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.features.matching import hamming
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 IntArray = NDArray[np.int64]
 DescriptorArray = NDArray[np.uint64]
@@ -70,7 +70,7 @@ class Vocabulary:
         return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _descend(
     descriptors: np.ndarray, centre: np.ndarray, first_child: np.ndarray, children: np.ndarray, word: np.ndarray
 ) -> np.ndarray:
@@ -89,7 +89,7 @@ def _descend(
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _learn(
     descriptors: np.ndarray, branching: int, depth: int, smallest: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -133,7 +133,7 @@ def _learn(
     return centre[:nodes].copy(), first_child[:nodes].copy(), children[:nodes].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _random(state: np.ndarray) -> float:
     """Return the next number in [0, 1) of an xorshift generator, so that no global state is touched."""
     x = state[0]
@@ -144,7 +144,7 @@ def _random(state: np.ndarray) -> float:
     return float(x >> np.uint64(11)) / 9007199254740992.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _cluster(
     descriptors: np.ndarray, members: np.ndarray, label: np.ndarray, branching: int, state: np.ndarray
 ) -> np.ndarray:
@@ -189,7 +189,7 @@ def _cluster(
     return centres[:kept]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _majority(ones: np.ndarray, size: int, centre: np.ndarray) -> None:
     for w in range(4):
         bits = np.uint64(0)
@@ -199,7 +199,7 @@ def _majority(ones: np.ndarray, size: int, centre: np.ndarray) -> None:
         centre[w] = bits
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _first_centres(descriptors: np.ndarray, members: np.ndarray, k: int, state: np.ndarray) -> np.ndarray:
     """Choose descriptors far from each other as k-means++ does; fewer where there are fewer different ones."""
     n = len(members)

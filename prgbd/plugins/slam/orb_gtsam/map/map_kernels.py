@@ -7,15 +7,15 @@ keypoints: ``head[point]`` is the first, ``following[keyframe, keypoint]`` the n
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from prgbd.plugins.slam.orb_gtsam.features.matching import hamming
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 _FAR = 1 << 20
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def observe(
     point_of: np.ndarray, following: np.ndarray, head: np.ndarray, k: int, rows: np.ndarray, points: np.ndarray
 ) -> None:
@@ -28,7 +28,7 @@ def observe(
             head[points[i]] = k * capacity + rows[i]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def forget(point_of: np.ndarray, following: np.ndarray, head: np.ndarray, k: int, i: int) -> None:
     """Remove the observation of keypoint ``i`` of keyframe ``k``."""
     point = point_of[k, i]
@@ -49,7 +49,7 @@ def forget(point_of: np.ndarray, following: np.ndarray, head: np.ndarray, k: int
     point_of[k, i] = -1
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def forget_many(
     point_of: np.ndarray, following: np.ndarray, head: np.ndarray, keyframes: np.ndarray, rows: np.ndarray
 ) -> None:
@@ -58,7 +58,7 @@ def forget_many(
         forget(point_of, following, head, keyframes[j], rows[j])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def remove_points(
     point_of: np.ndarray, following: np.ndarray, head: np.ndarray, bad: np.ndarray, points: np.ndarray
 ) -> None:
@@ -74,7 +74,7 @@ def remove_points(
         bad[p] = True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def merge_point(
     point_of: np.ndarray,
     following: np.ndarray,
@@ -105,7 +105,7 @@ def merge_point(
     replaced_by[old] = new
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def count_observations(
     u_right: np.ndarray, following: np.ndarray, head: np.ndarray, points: np.ndarray, double: bool
 ) -> np.ndarray:
@@ -120,7 +120,7 @@ def count_observations(
     return counts
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def common_points(
     point_ids: np.ndarray, following: np.ndarray, head: np.ndarray, keyframes: int, capacity: int
 ) -> np.ndarray:
@@ -135,7 +135,7 @@ def common_points(
     return counts
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def points_seen_by(point_of: np.ndarray, keyframes: np.ndarray, points: int) -> np.ndarray:
     """Return the different points that some keyframes see, in order of first sight, int64."""
     seen = np.zeros(points, np.bool_)
@@ -150,7 +150,7 @@ def points_seen_by(point_of: np.ndarray, keyframes: np.ndarray, points: int) -> 
     return found[:n].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def observations_of(following: np.ndarray, head: np.ndarray, points: np.ndarray, capacity: int) -> np.ndarray:
     """List the observations of points: (M, 3) int64 rows ``(keyframe, keypoint, position in points)``."""
     flat_next = following.reshape(-1)
@@ -171,7 +171,7 @@ def observations_of(following: np.ndarray, head: np.ndarray, points: np.ndarray,
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def refresh_geometry(
     following: np.ndarray,
     head: np.ndarray,
@@ -215,7 +215,7 @@ def refresh_geometry(
         distance_range[p, 0] = distance_range[p, 1] / scales[top]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def refresh_descriptors(
     following: np.ndarray, head: np.ndarray, points: np.ndarray, kf_descriptors: np.ndarray, descriptors: np.ndarray
 ) -> None:
@@ -246,7 +246,7 @@ def refresh_descriptors(
             descriptors[p, i] = flat_descriptors[seen[chosen], i]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _median(values: np.ndarray, n: int) -> int:
     """Return the (lower) median of the first ``n`` values, without sorting them in place."""
     for i in range(n):

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel, measur
 from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.locking import FairLock
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
@@ -358,7 +358,7 @@ class LocalMapper:
         }
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _redundant_share(
     point_of: np.ndarray,
     following: np.ndarray,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +10,7 @@ from prgbd.plugins.slam.orb_gtsam.features.epipolar_matching import match_along_
 from prgbd.plugins.slam.orb_gtsam.features.extraction import GRID_CELL
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.geometry.triangulation_kernels import place_pairs
+from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
@@ -82,7 +82,7 @@ def _depth(slam_map: Map, k: int, percentile: float) -> float:
     return float(_depth_percentile(slam_map.points_of(k), slam_map.points.xyz, cTw, percentile))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _depth_percentile(points: np.ndarray, xyz: np.ndarray, cTw: np.ndarray, percentile: float) -> float:
     depths = np.empty(len(points))
     n = 0

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import compose_into, exp_se3_into, orthonormalise
+from prgbd.plugins.slam.orb_gtsam.kernels import FAST, kernel
 from prgbd.plugins.slam.orb_gtsam.optimisation.reprojection import (
     CHI2_MONO,
     CHI2_STEREO,
-    FAST,
     chi2_of,
     keep_monocular,
     linearise,
@@ -77,7 +76,7 @@ def optimise_pose(
     return cTw, inlier
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def _cost(
     pose: FloatArray,
     xyz: FloatArray,
@@ -96,7 +95,7 @@ def _cost(
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def _normal_equations(
     pose: FloatArray,
     xyz: FloatArray,
@@ -123,7 +122,7 @@ def _normal_equations(
                 H[i, j] += w0 * G[0, j] + w1 * G[1, j] + w2 * G[2, j]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def solve_damped(H: FloatArray, b: FloatArray, damping: float, L: FloatArray, x: FloatArray) -> bool:
     """Solve ``(H + damping diag(H)) x = b`` by Cholesky from H's lower triangle; False if not positive definite."""
     n = len(b)
@@ -152,7 +151,7 @@ def solve_damped(H: FloatArray, b: FloatArray, damping: float, L: FloatArray, x:
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _optimise(
     pose: FloatArray,
     xyz: FloatArray,

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.chi_square import CHI2_MONO, CHI2_STEREO
+from prgbd.plugins.slam.orb_gtsam.kernels import FAST, kernel
 
 FloatArray = NDArray[np.float64]
-
-# For numba: sums may be reordered, but NaN and infinity must stay visible. The order depends on the code around, and
-# numba calls another copy of a function on the run that compiles it than on those that load it from the cache. So that
-# all runs agree to the last bit, whatever holds such sums and is called by another kernel is inlined ("forceinline").
-FAST = {"contract", "reassoc", "nsz"}
 
 # Chi-square that a point behind the camera counts for: constant, so steps that push points back there lose.
 _BEHIND = 1e6
@@ -44,7 +39,7 @@ def split_weights(inv_sigma2: FloatArray) -> FloatArray:
     return split
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def keep_monocular(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: FloatArray, camera: FloatArray) -> bool:
     """Take the measured depth from an observation that only its depth makes an outlier; return whether it was.
 
@@ -59,7 +54,7 @@ def keep_monocular(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: Flo
     return False
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: FloatArray, camera: FloatArray) -> float:
     """Return the chi-square of one observation ``(u, v, u_right or -1)``; infinite behind the camera.
 
@@ -80,7 +75,7 @@ def chi2_of(pose: FloatArray, p: FloatArray, obs: FloatArray, weight: FloatArray
     return square * weight[0]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(fastmath=FAST, forceinline=True)
 def penalty(chi2: float, stereo: bool, robust: bool) -> float:
     """Return what a chi-square adds to the cost: itself, or Huber's rho of it, finite even behind the camera."""
     chi2 = chi2 if chi2 < math.inf else _BEHIND
@@ -88,7 +83,7 @@ def penalty(chi2: float, stereo: bool, robust: bool) -> float:
     return chi2 if chi2 <= limit or not robust else 2.0 * math.sqrt(limit * chi2) - limit
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def linearise(
     pose: FloatArray,
     p: FloatArray,

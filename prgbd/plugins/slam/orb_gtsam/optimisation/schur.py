@@ -6,15 +6,14 @@ envelope), so it stays small for cameras in temporal order however long the traj
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import compose_into, exp_se3_into, orthonormalise
+from prgbd.plugins.slam.orb_gtsam.kernels import FAST, kernel
 from prgbd.plugins.slam.orb_gtsam.optimisation.reprojection import (
     CHI2_MONO,
     CHI2_STEREO,
-    FAST,
     chi2_of,
     keep_monocular,
     linearise,
@@ -27,7 +26,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def total_cost(
     poses: FloatArray,
     points: FloatArray,
@@ -48,7 +47,7 @@ def total_cost(
     return 0.5 * total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def classify(
     poses: FloatArray,
     points: FloatArray,
@@ -66,7 +65,7 @@ def classify(
         inlier[m] = usable[m] and chi2_of(poses[kf[m]], points[pt[m]], uvr[m], weight[m], camera) <= limit
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def reject_depths(
     poses: FloatArray,
     points: FloatArray,
@@ -84,7 +83,7 @@ def reject_depths(
             rejected[m] = True
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def normal_equations(
     poses: FloatArray,
     points: FloatArray,
@@ -137,7 +136,7 @@ def normal_equations(
                 W[m, j, i] = w0 * A[0, j] + w1 * A[1, j] + w2 * A[2, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def invert_point_block(V: FloatArray, damping: float, out: FloatArray) -> None:
     """Invert a damped symmetric (3, 3) block; a direction that nothing observes gets a tiny weight, so it stays put."""
     trace = V[0, 0] + V[1, 1] + V[2, 2]
@@ -153,7 +152,7 @@ def invert_point_block(V: FloatArray, damping: float, out: FloatArray) -> None:
             out[j, i] = out[i, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def reduce_to_poses(
     column: IntArray,
     kf: IntArray,
@@ -206,7 +205,7 @@ def reduce_to_poses(
                         S[o + j] -= y0 * W[n, 0, j] + y1 * W[n, 1, j] + y2 * W[n, 2, j]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def apply_step(
     poses: FloatArray,
     points: FloatArray,
@@ -245,14 +244,14 @@ def apply_step(
             new_points[q, i] = points[q, i] + inverse[i, 0] * s[0] + inverse[i, 1] * s[1] + inverse[i, 2] * s[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _copy(source: FloatArray, target: FloatArray) -> None:
     """Copy element by element: numba compiles seconds of error messages into a slice assignment."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def minimise(
     poses: FloatArray,
     points: FloatArray,

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.plugins.slam.orb_gtsam.optimisation.reprojection import FAST
+from prgbd.plugins.slam.orb_gtsam.kernels import FAST, kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def envelope(column: IntArray, free: int, kf: IntArray, first: IntArray, offset: IntArray, start: IntArray) -> int:
     """Fill ``offset`` and ``start`` (6 F,) of the reduced system and return how many numbers its envelope holds."""
     lowest = np.arange(free)
@@ -37,7 +36,7 @@ def envelope(column: IntArray, free: int, kf: IntArray, first: IntArray, offset:
     return size
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, forceinline=True)
+@kernel(fastmath=FAST, forceinline=True)
 def solve_envelope(S: FloatArray, offset: IntArray, start: IntArray, b: FloatArray) -> bool:
     """Solve ``S x = b`` in place (``b`` becomes ``x``) by Cholesky within the envelope; False if not positive definite.
 
