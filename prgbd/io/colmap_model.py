@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.multiview import reprojection_errors
 from prgbd.io.files import atomic_path
 
 if TYPE_CHECKING:
@@ -60,7 +61,8 @@ def _write_model(result: SlamResult, keyframes: NDArray[np.int64], folder: Path,
     place = np.arange(len(rows)) - begin
     _write_lines(folder / "cameras.txt", [_camera_line(result.camera)])
     _write_lines(folder / "images.txt", _image_lines(result, keyframes, keyframe, point, uv + _TO_COLMAP, image_name))
-    errors = _reprojection_errors(result, keyframe, point, uv)
+    errors = reprojection_errors(result.camera, result.keyframes, result.points, observations)[rows]
+    errors = np.where(np.isfinite(errors), errors, 0.0)
     _write_lines(folder / "points3D.txt", _point_lines(result, keyframe, point, place, errors))
 
 
@@ -111,17 +113,6 @@ def _point_lines(
         seen = " ".join(f"{k + 1} {i}" for k, i in zip(keyframe[track].tolist(), place[track].tolist(), strict=True))
         lines.append(f"{p + 1} {xyz} {rgb} {errors[track].mean():.4f} {seen}")
     return lines
-
-
-def _reprojection_errors(
-    result: SlamResult, keyframe: NDArray[np.int64], point: NDArray[np.int64], uv: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Distance in pixels between observed and projected keypoint, (M,)."""
-    wTc = result.keyframes.wTc[keyframe]
-    in_camera = np.einsum("mji,mj->mi", wTc[:, :3, :3], result.points.xyz[point] - wTc[:, :3, 3])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.linalg.norm(result.camera.project(in_camera) - uv, axis=1)
-    return np.where(np.isfinite(error), error, 0.0)
 
 
 def _write_lines(path: Path, lines: list[str]) -> None:

@@ -10,16 +10,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from prgbd.core.multiview import reprojection_errors
 from prgbd.core.types import DepthPrediction, SlamResult
+from prgbd.evaluation.triangulated_depth import disagreement
 from prgbd.functional.losses import photometric_loss
 from prgbd.loop.depth_figures import evenly
 from prgbd.loop.sensing import DepthSensor
-from prgbd.training.supervision import clean_observations, points_in_camera, reprojection_errors
+from prgbd.training.supervision import clean_observations
 
 FRAMES = 32
 """Frames per recording whose photometric error is taken."""
-_LEAST_PARALLAX = np.sin(np.radians(1.0))
-_FEWEST_POINTS = 10
 
 Floats = NDArray[np.float64]
 
@@ -34,14 +34,16 @@ def evidence(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dic
 
     Returns:
         ``tracked``: share of the frames with a pose; ``maps``: unconnected maps; ``inliers``: mean inlier matches of a
-        tracked frame; ``reprojection``: median reprojection error, pixels; ``disagreement``: see ``disagreement``;
+        tracked frame; ``reprojection``: median reprojection error, pixels; ``disagreement``: with
+        triangulated depth, see ``evaluation.triangulated_depth``;
         ``scale_wander``: standard deviation of the logarithm of the scale between network and map over keyframes;
         ``photometric``: per frame, by number, the photometric error (pre-training's, without mask) of its neighbours
         warped by the network's depth and SLAM's poses. None where there is nothing to measure.
     """
     tracked = result.inliers[np.asarray([str(state) == "ok" for state in result.states], bool)]
-    errors = reprojection_errors(result.camera, result.keyframes, result.points, clean_observations(result))
-    within, between = disagreement(result)
+    seen = clean_observations(result)
+    errors = reprojection_errors(result.camera, result.keyframes, result.points, seen)
+    within, between = disagreement(result, seen)
     return {
         "tracked": len(result.trajectory) / max(result.frames, 1),
         "maps": len(np.unique(result.keyframes.map_id)),
@@ -51,58 +53,6 @@ def evidence(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dic
         "scale_wander": between,
         "photometric": photometric_errors(result, sensor, frame_gap),
     }
-
-
-def triangulated(result: SlamResult) -> tuple[Floats, NDArray[np.bool_]]:
-    """Find every map point again from SLAM's poses and the pixels of its keypoints alone, without any depth.
-
-    Returns:
-        (P, 3) points nearest to their rays, and (P,) which of them are seen from three keyframes with a parallax of a
-        degree or more (root mean square over the rays).
-    """
-    seen = result.observations
-    rays = result.camera.backproject(seen.uv, np.ones(len(seen)))
-    wTc = result.keyframes.wTc[seen.keyframe]
-    direction = np.einsum("mij,mj->mi", wTc[:, :3, :3], rays / np.linalg.norm(rays, axis=1, keepdims=True))
-    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    count = len(result.points)
-    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(matrix, seen.point, across)
-    np.add.at(right, seen.point, np.einsum("mij,mj->mi", across, wTc[:, :3, 3]))
-    views = np.bincount(seen.point, minlength=count)
-    spread = np.linalg.eigvalsh(matrix)[:, 0] / np.maximum(views, 1)
-    good = (views >= 3) & (spread > _LEAST_PARALLAX**2)
-    points = np.full((count, 3), np.nan)
-    points[good] = np.linalg.solve(matrix[good], right[good][:, :, None])[:, :, 0]
-    return points, good
-
-
-def disagreement(result: SlamResult) -> tuple[float | None, float | None]:
-    """Compare the network's depth with triangulated depth at the keypoints of all keyframes.
-
-    Triangulation (``triangulated``) takes nothing but poses and pixels, so that a map that simply follows the network's
-    depth does not count as agreement.
-
-    Returns:
-        The mean absolute difference of the logarithms after the median of each keyframe is taken out, and the standard
-        deviation of those medians; None without points.
-    """
-    seen = clean_observations(result)
-    points, good = triangulated(result)
-    use = good[seen.point] & (seen.depth > 0)
-    keyframe, measured = seen.keyframe[use], seen.depth[use].astype(np.float64)
-    depth = points_in_camera(result.keyframes.wTc[keyframe], points[seen.point[use]])[:, 2]
-    ahead = depth > 0
-    keyframe, ratio = keyframe[ahead], np.log(measured[ahead] / depth[ahead])
-    residuals, medians = [], []
-    for row in np.unique(keyframe):
-        values = ratio[keyframe == row]
-        if len(values) >= _FEWEST_POINTS:
-            medians.append(float(np.median(values)))
-            residuals.append(np.abs(values - medians[-1]))
-    if not residuals:
-        return None, None
-    return float(np.mean(np.concatenate(residuals))), float(np.std(medians))
 
 
 def photometric_errors(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dict[str, float]:

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult
+from prgbd.core.multiview import extreme_parallax, points_in_camera, reprojection_errors, rows_by_group
+from prgbd.core.types import Observations, PinholeCamera, SlamResult
 
 Floats = NDArray[np.float64]
 
@@ -91,22 +92,6 @@ class Supervision:
         return [replace(self, samples=[s for s in self.samples if s.map_id == map_id]) for map_id in maps]
 
 
-def reprojection_errors(camera: PinholeCamera, keyframes: Keyframes, points: MapPoints, seen: Observations) -> Floats:
-    """Return the distance of every observation to its projected point, (M,) pixels; infinite behind the camera."""
-    rays = points_in_camera(keyframes.wTc[seen.keyframe], points.xyz[seen.point])
-    z = rays[:, 2]
-    ahead = z > 1e-9
-    errors = np.full(len(seen), np.inf)
-    errors[ahead] = np.linalg.norm(camera.project(rays[ahead]) - seen.uv[ahead], axis=1)
-    return errors
-
-
-def points_in_camera(wTc: Floats, xyz: Floats) -> Floats:
-    """Move world points (M, 3) into cameras ``wTc``, one pose (4, 4) for all or one per point (M, 4, 4)."""
-    offset = xyz - wTc[..., :3, 3]
-    return np.einsum("...ji,...j->...i", wTc[..., :3, :3], offset)
-
-
 def clean_observations(result: SlamResult, min_keyframes: int = 3, max_reprojection_error: float = 3.0) -> Observations:
     """Remove outliers as the paper does before each depth refinement.
 
@@ -142,7 +127,8 @@ def measured_gap(result: SlamResult) -> int:
     """
     keyframes, trajectory, seen = result.keyframes, result.trajectory, result.observations
     local = points_in_camera(keyframes.wTc[seen.keyframe], result.points.xyz[seen.point])[:, 2]
-    depth = np.array([np.median(local[seen.keyframe == row]) for row in np.unique(seen.keyframe)])
+    groups = rows_by_group(seen.keyframe)
+    depth = np.array([np.median(local[rows]) for rows in groups])
     frames = keyframes.frame_index[np.unique(seen.keyframe)]
     if not len(frames):
         return 1
@@ -156,23 +142,6 @@ def measured_gap(result: SlamResult) -> int:
         if np.median(np.linalg.norm(ends[1] - ends[0], axis=1) / depth[known]) >= _ADJACENT_PARALLAX:
             return gap
     return _WIDEST_GAP
-
-
-def parallax(keyframes: Keyframes, points: MapPoints, seen: Observations) -> Floats:
-    """Return under what angle the first and the last keyframe that observe a point see it, (P,) degrees.
-
-    It says how well SLAM knows a point's depth; 0 where fewer than two keyframes observe it.
-    """
-    first = np.full(len(points), len(keyframes))
-    last = np.full(len(points), -1)
-    np.minimum.at(first, seen.point, seen.keyframe)
-    np.maximum.at(last, seen.point, seen.keyframe)
-    angle = np.zeros(len(points))
-    known = np.flatnonzero(last > first)
-    rays = points.xyz[known] - keyframes.wTc[np.stack([first[known], last[known]]), :3, 3]
-    sine = np.linalg.norm(np.cross(rays[0], rays[1]), axis=1)
-    angle[known] = np.degrees(np.arctan2(sine, np.sum(rays[0] * rays[1], axis=1)))
-    return angle
 
 
 def keyframe_samples(
@@ -250,7 +219,7 @@ class _Views:
         self.farthest = np.inf
         self.triangulated = np.ones(len(result.points), bool)
         if min_parallax > 0:
-            self.triangulated = parallax(result.keyframes, result.points, observations) >= min_parallax
+            self.triangulated = extreme_parallax(result.keyframes, result.points, observations) >= min_parallax
         else:
             self.farthest = float(result.observations.depth.max(initial=0)) or np.inf
         order = np.lexsort((observations.point, observations.keyframe))

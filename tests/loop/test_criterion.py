@@ -9,7 +9,7 @@ import pytest
 
 from prgbd.core.types import Trajectory
 from prgbd.loop.criterion import LOST_SHARE, compare
-from prgbd.loop.evidence import disagreement, evidence, photometric_errors, triangulated
+from prgbd.loop.evidence import evidence, photometric_errors
 from tests.training.scenes import WallSequence, true_slam_result
 
 
@@ -32,42 +32,6 @@ class Known:
 def world():
     sequence = WallSequence(24, step=0.25)
     return sequence, true_slam_result(sequence)
-
-
-def measured(result, depth):
-    """The same result with other measurements of depth at the keypoints."""
-    return replace(result, observations=replace(result.observations, depth=depth.astype(np.float32)))
-
-
-def test_points_are_found_again_without_any_depth(world):
-    _, result = world
-    points, good = triangulated(result)
-    assert good.mean() > 0.5
-    np.testing.assert_allclose(points[good], result.points.xyz[good], atol=0.02)
-    assert np.isnan(points[~good]).all()
-
-
-def test_disagreement_sees_shape_and_not_scale(world):
-    _, result = world
-    depth = result.observations.depth.astype(float)
-    within, between = disagreement(result)
-    assert within < 2e-3
-    assert between < 2e-3
-    scaled = disagreement(measured(result, 0.3 * depth))
-    assert scaled[0] == pytest.approx(within, abs=1e-6)
-    per_keyframe = np.exp(0.2 * (result.observations.keyframe % 2))
-    wandering = disagreement(measured(result, depth * per_keyframe))
-    assert wandering[0] == pytest.approx(within, abs=1e-6)
-    assert wandering[1] == pytest.approx(0.1, rel=0.05)
-    noise = np.random.default_rng(0).normal(0, 0.1, len(depth))
-    assert disagreement(measured(result, depth * np.exp(noise)))[0] == pytest.approx(0.08, rel=0.1)
-
-
-def test_a_map_that_follows_wrong_depth_does_not_count_as_agreement(world):
-    """Squeezed depth with points moved along their rays to match: the map agrees with it, triangulation does not."""
-    _, result = world
-    squeezed = 5 * (result.observations.depth.astype(float) / 5) ** 0.5
-    assert disagreement(measured(result, squeezed))[0] > 10 * disagreement(result)[0]
 
 
 def test_photometric_error_is_lowest_at_the_truth_and_ignores_a_common_scale(world):

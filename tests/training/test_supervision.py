@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prgbd.core.multiview import points_in_camera
 from prgbd.core.types import Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
 from prgbd.training import supervision
 
@@ -72,10 +73,10 @@ def test_samples_hold_true_geometry(result):
     assert sample.frames.tolist() == [3, 2, 4, 0, 6]
     assert len(sample.point) > 100
     for view, frame in enumerate((3, 0, 6)):
-        local = supervision.points_in_camera(sequence.poses[frame], result.points.xyz[sample.point])
+        local = points_in_camera(sequence.poses[frame], result.points.xyz[sample.point])
         assert np.allclose(sequence.camera.project(local), sample.uv[view], atol=1e-3)
         assert np.allclose(local[:, 2], sample.depth[view], rtol=1e-5)
-    c = supervision.points_in_camera(sequence.poses[3], result.points.xyz[sample.point])
+    c = points_in_camera(sequence.poses[3], result.points.xyz[sample.point])
     moved = c @ sample.kTc[1, :3, :3].T + sample.kTc[1, :3, 3]
     assert np.allclose(moved[:, 2], sample.depth[2], rtol=1e-5)
     assert np.allclose(sample.aTc[1], np.linalg.inv(sequence.poses[4]) @ sequence.poses[3])
@@ -154,23 +155,6 @@ def test_points_beyond_the_sensors_reach_are_left_out(result):
     assert point in supervision.keyframe_samples(blind, max_reprojection_error=1e4).samples[0].point
 
 
-def test_parallax_is_the_angle_between_the_first_and_the_last_ray():
-    result = tiny([0, 0])
-    found = supervision.parallax(result.keyframes, result.points, result.observations)
-    # Point 0 lies 2 m ahead of keyframe 0, and keyframe 3 stands 0.3 m to the right.
-    assert found[0] == pytest.approx(np.degrees(np.arctan2(0.3, 2)))
-    # Points 1 and 2: the cosine rule with the three sides of the triangle.
-    for point, a, b in ((1, 0, 1), (2, 1, 3)):
-        rays = result.points.xyz[point] - result.keyframes.wTc[[a, b], :3, 3]
-        u, v = np.linalg.norm(rays, axis=1)
-        side = result.keyframes.wTc[b, 0, 3] - result.keyframes.wTc[a, 0, 3]
-        assert found[point] == pytest.approx(np.degrees(np.arccos((u**2 + v**2 - side**2) / (2 * u * v))))
-    one = result.observations.keyframe == 0
-    seen = result.observations
-    once = Observations(seen.keyframe[one], seen.point[one], seen.uv[one], seen.depth[one])
-    assert supervision.parallax(result.keyframes, result.points, once).tolist() == [0, 0, 0]
-
-
 def test_parallax_decides_about_far_points_instead_of_the_sensors_reach(result):
     """With a sensor that reaches less far than the wall, the wall's points stay; one slid out to infinity goes."""
     reach = np.median(result.observations.depth)
@@ -198,7 +182,7 @@ def test_all_points_of_a_keyframe_may_teach_its_depth(result):
     cleaned = supervision.clean_observations(result)
     mine = cleaned.keyframe == 1
     assert len(every.seen_depth) == mine.sum() > len(common.seen_depth)
-    local = supervision.points_in_camera(result.keyframes.wTc[1], result.points.xyz[cleaned.point[mine]])
+    local = points_in_camera(result.keyframes.wTc[1], result.points.xyz[cleaned.point[mine]])
     order, expected = np.argsort(every.seen_depth), np.sort(local[:, 2])
     assert np.allclose(every.seen_depth[order], expected, rtol=1e-5)
     lifted = result.camera.backproject(every.seen_uv.astype(float), every.seen_depth.astype(float))

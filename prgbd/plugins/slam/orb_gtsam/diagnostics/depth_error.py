@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.multiview import rows_by_group, triangulate
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
+from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 
 FloatArray = NDArray[np.float64]
@@ -17,6 +19,8 @@ IntArray = NDArray[np.int64]
 _LEAST_VIEWS = 3
 # Largest relative standard deviation of a triangulated depth that is worth comparing with.
 _ACCURATE = 0.1
+# Distance that keeps the weight of a point in a camera's centre finite.
+_NEAREST = 1e-9
 # Fewer depths do not tell the scale of a keyframe, fewer keyframes not how the scale wanders.
 _LEAST_DEPTHS = 20
 _LEAST_KEYFRAMES = 5
@@ -58,9 +62,7 @@ def variance_components(error: FloatArray, noise: FloatArray, keyframe: IntArray
     Returns:
         The components, None where fewer than five keyframes have at least 20 depths.
     """
-    order = np.argsort(keyframe, kind="stable")
-    _, first = np.unique(keyframe[order], return_index=True)
-    groups = [rows for rows in np.split(order, first[1:]) if len(rows) >= _LEAST_DEPTHS]
+    groups = rows_by_group(keyframe, _LEAST_DEPTHS)
     if len(groups) < _LEAST_KEYFRAMES:
         return None
     scales = np.array([np.median(error[rows]) for rows in groups])
@@ -90,47 +92,16 @@ def depth_error(slam_map: Map, camera: CameraModel) -> DepthError | None:
     at, row, point = seen.T
     if len(seen) == 0:
         return None
-    pixel = slam_map.scales[kf.octave[at, row]] / camera.pinhole.fx
-    xyz, covariance = triangulate(kf.cTw[at], camera.rays(kf.uv[at, row]), pixel, point, pts.xyz[points])
-    axis = kf.cTw[at, 2, :3]
-    depth = np.einsum("ni,ni->n", axis, xyz[point]) + kf.cTw[at, 2, 3]
-    spread = np.sqrt(np.einsum("ni,nij,nj->n", axis, covariance[point], axis))
+    wTc = inverse(kf.cTw[at])
+    # A pixel's accuracy holds a point across its ray, at about the distance at which the map has it.
+    distance = np.linalg.norm(pts.xyz[points[point]] - wTc[:, :3, 3], axis=1)
+    sigma = np.maximum(distance, _NEAREST) * slam_map.scales[kf.octave[at, row]] / camera.pinhole.fx
+    found = triangulate(wTc, camera.rays(kf.uv[at, row]), point, len(points), sigma)
+    depth, spread = found.depth(wTc, point)
     measured = kf.depth[at, row].astype(np.float64)
     good = (measured > 0) & (depth > 0) & (spread < _ACCURATE * depth)
     ratio = np.log(measured[good] / depth[good])
     return variance_components(ratio, spread[good] / depth[good], at[good])
-
-
-def triangulate(
-    cTw: FloatArray, rays: FloatArray, pixel: FloatArray, point: IntArray, guess: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Place points where the rays of their observations meet best, measured depth left out.
-
-    Each observation holds its point across the ray, by its pixel's accuracy at the distance of ``guess``.
-
-    Args:
-        cTw: (M, 4, 4) pose of the keyframe of every observation, world to camera.
-        rays: (M, 2) normalised image coordinates.
-        pixel: (M,) standard deviation of these.
-        point: (M,) row of the point.
-        guess: (P, 3) about where the points are.
-
-    Returns:
-        (P, 3) points and their (P, 3, 3) covariance; NaN where rays are missing or parallel.
-    """
-    rotation, centre = cTw[:, :3, :3], -np.einsum("nji,nj->ni", cTw[:, :3, :3], cTw[:, :3, 3])
-    direction = np.einsum("nji,nj->ni", rotation, np.c_[rays, np.ones(len(rays))])
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    distance = np.linalg.norm(guess[point] - centre, axis=1)
-    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    across /= (np.maximum(distance, 1e-9) * pixel)[:, None, None] ** 2
-    information, pull = np.zeros((len(guess), 3, 3)), np.zeros((len(guess), 3))
-    np.add.at(information, point, across)
-    np.add.at(pull, point, np.einsum("nij,nj->ni", across, centre))
-    covariance = np.full_like(information, np.nan)
-    well_posed = np.linalg.cond(information) < 1e12
-    covariance[well_posed] = np.linalg.inv(information[well_posed])
-    return np.einsum("nij,nj->ni", covariance, pull), covariance
 
 
 def _variance(values: FloatArray) -> float:

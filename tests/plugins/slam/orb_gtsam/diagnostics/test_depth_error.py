@@ -7,8 +7,7 @@ import pytest
 
 from prgbd.core.types import Frame
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
-from prgbd.plugins.slam.orb_gtsam.diagnostics.depth_error import triangulate, variance_components
-from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
+from prgbd.plugins.slam.orb_gtsam.diagnostics.depth_error import variance_components
 from tests.plugins.slam.orb_gtsam.walls import CAMERA, path, view
 
 KEYFRAMES, DEPTHS = 60, 80
@@ -37,25 +36,6 @@ def test_few_depths_or_keyframes_say_nothing() -> None:
     errors, noise = rng.standard_normal(400), np.zeros(400)
     assert variance_components(errors, noise, np.arange(400) // 10) is None
     assert variance_components(errors, noise, np.arange(400) // 100) is None
-
-
-def test_rays_meet_in_their_point_and_uncertainty_is_that_of_repetitions() -> None:
-    rng = np.random.default_rng(1)
-    wTc = np.stack([np.eye(4)] * 3)
-    wTc[:, 0, 3] = 0.0, 0.3, 0.6
-    cTw, truth, repetitions, sigma = inverse(wTc), np.array([0.4, -0.2, 5.0]), 2000, 1e-3
-    local = (cTw[:, :3, :3] @ truth) + cTw[:, :3, 3]
-    rays = np.tile(local[:, :2] / local[:, 2:], (repetitions, 1))
-    rays += sigma * rng.standard_normal(rays.shape)
-    point = np.repeat(np.arange(repetitions), 3)
-    guess = np.tile(truth, (repetitions, 1))
-    poses, pixel = np.tile(cTw, (repetitions, 1, 1)), np.full(3 * repetitions, sigma)
-    xyz, covariance = triangulate(poses, rays, pixel, point, guess)
-    np.testing.assert_allclose(np.median(xyz, axis=0), truth, atol=0.01)
-    np.testing.assert_allclose(xyz.std(axis=0), np.sqrt(np.diag(covariance[0])), rtol=0.15)
-    alone, unknown = triangulate(poses[:1], rays[:1], pixel[:1], point[:1], guess[:1])
-    assert np.isnan(alone).all()
-    assert np.isnan(unknown).all()
 
 
 @pytest.mark.parametrize(("own", "common"), [(0.15, 0.0), (0.05, 0.1)])
