@@ -9,8 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 import prgbd.plugins  # registers the built-in ids; imports none of them  # noqa: F401
-
-__version__ = "0.1.0"
+from prgbd.version import __version__
 
 _HOMES = {
     "prgbd.core.types": (

@@ -22,6 +22,7 @@ from prgbd.cli.settings import check_settings, trainer_factory
 from prgbd.core.errors import PrgbdError
 from prgbd.io.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
+from prgbd.version import __version__
 
 if TYPE_CHECKING:
     from prgbd.training.trainers import TrainerFactory
@@ -72,10 +73,8 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
     Raises:
         PrgbdError: If something the user can mend is wrong.
     """
-    import prgbd
-
     quiet()
-    about = {"version": prgbd.__version__, "started_in": os.getcwd(), "overrides": overrides, "choices": dict(choices)}
+    about = {"version": __version__, "started_in": os.getcwd(), "overrides": overrides, "choices": dict(choices)}
     noted = {**config, META: about}
     try:
         check_settings(config)

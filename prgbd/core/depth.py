@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from prgbd.core.errors import WeightsError
-from prgbd.core.testing.validation import check_image
 from prgbd.core.types import DepthPrediction
+from prgbd.core.validation import check_image
 
 
 class DepthEstimator(nn.Module, ABC):

@@ -193,7 +193,7 @@ class Registry:
             BrokenPluginError: If importing or constructing it fails.
             ConfigError: If it has no option of a given name, or one of another type.
         """
-        from prgbd.core.testing.passive import with_checks
+        from prgbd.core.testing.passive import with_checks  # brings numpy, which listing plug-ins does not need
 
         spec = self.resolve(kind, plugin_id)
         cls = self.load(spec)

@@ -22,8 +22,8 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ContractError
 from prgbd.core.slam import adaptive_baseline
-from prgbd.core.testing.validation import check_depth_shape
 from prgbd.core.types import Frame
+from prgbd.core.validation import check_depth_shape
 from prgbd.io.files import atomic_path, read_json, write_json
 from prgbd.loop.decoding import Batch, decoded
 from prgbd.loop.monitor import Monitor, SilentMonitor

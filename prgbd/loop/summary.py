@@ -13,6 +13,7 @@ from prgbd.core.types import Trajectory
 from prgbd.io.files import write_json
 from prgbd.io.trajectory_files import write_tum
 from prgbd.loop.store import SUMMARY, RunStore
+from prgbd.version import __version__
 
 SCHEMA = 1
 _PACKAGES = ("torch", "lightning", "numpy", "opencv-python-headless", "gtsam", "numba", "evo", "hydra-core")
@@ -58,11 +59,9 @@ def write_summary(
         seconds: Time that the steps of the run took.
         more: Further entries of the task.
     """
-    import prgbd
-
     summary = {
         "schema": SCHEMA,
-        "prgbd": prgbd.__version__,
+        "prgbd": __version__,
         "task": identity.task,
         "slam": identity.slam,
         "depth": identity.depth,

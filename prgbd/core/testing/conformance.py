@@ -18,8 +18,8 @@ from prgbd.core.data import Sequence
 from prgbd.core.slam import MODES, GeometricSLAM, TrackingState
 from prgbd.core.testing.passive import CheckedSLAM, check_declarations, with_checks
 from prgbd.core.testing.planar_scene import planar_scene
-from prgbd.core.testing.validation import check_depth_map, check_frame, check_prediction, require
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
+from prgbd.core.validation import check_depth_map, check_frame, check_prediction, require
 
 if TYPE_CHECKING:
     from prgbd.core.depth import DepthEstimator

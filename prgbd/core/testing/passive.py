@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, ContractError, PrgbdError
 from prgbd.core.slam import GeometricSLAM, Listener, SlamView, TrackingResult
-from prgbd.core.testing.validation import (
+from prgbd.core.types import Frame, PinholeCamera, SlamResult
+from prgbd.core.validation import (
     check_depth_map,
     check_frame,
     check_prediction,
@@ -24,7 +25,6 @@ from prgbd.core.testing.validation import (
     check_view,
     require,
 )
-from prgbd.core.types import Frame, PinholeCamera, SlamResult
 
 
 @contextmanager

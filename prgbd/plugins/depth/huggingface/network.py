@@ -15,8 +15,8 @@ from torch import Tensor
 
 from prgbd.core.depth import DepthEstimator, load_matching
 from prgbd.core.errors import ConfigError
-from prgbd.core.testing.validation import check_image
 from prgbd.core.types import DepthPrediction
+from prgbd.core.validation import check_image
 from prgbd.io.files import atomic_path
 from prgbd.plugins.depth.huggingface.inputs import input_rules
 from prgbd.plugins.depth.huggingface.loading import PROCESSOR, WEIGHTS, load_model, read_weights
