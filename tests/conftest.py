@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -28,19 +29,30 @@ def golden() -> Path:
     return Path(__file__).parent / "golden"
 
 
-@pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """The folder of real recordings beside the checkout; tests that need it skip where it is absent."""
-    folder = ROOT.parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip("the real recordings (../shared/data) are not on this machine")
-    return folder
+def _finder(folder: str) -> Callable[[str], Path]:
+    def find(path: str) -> Path:
+        found = ROOT.parent / "shared" / folder / path
+        if not found.exists():
+            pytest.skip(f"needs ../shared/{folder}/{path}, which is not on this machine")
+        return found
+
+    return find
 
 
 @pytest.fixture(scope="session")
-def shared_reference() -> Path:
-    """The folder of reference figures beside the checkout; tests that need it skip where it is absent."""
-    folder = ROOT.parent / "shared" / "reference"
-    if not folder.is_dir():
-        pytest.skip("the reference figures (../shared/reference) are not on this machine")
-    return folder
+def shared_data() -> Callable[[str], Path]:
+    """Real recordings and published weights beside the checkout, by their path; without them the test is skipped."""
+    return _finder("data")
+
+
+@pytest.fixture(scope="session")
+def shared_reference() -> Callable[[str], Path]:
+    """Reference figures of other programs beside the checkout, by their path; without them the test is skipped."""
+    return _finder("reference")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what needs ``../shared``: ``-m shared`` runs those tests alone, ``-m "not shared"`` runs the rest."""
+    for item in items:
+        if {"shared_data", "shared_reference"} & set(getattr(item, "fixturenames", ())):
+            item.add_marker("shared")

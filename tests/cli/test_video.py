@@ -5,22 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 import prgbd
 from prgbd.evaluation.trajectory import evaluate_trajectory
 
 FRAMES = 36
-FIELD_OF_VIEW = 81.6  # degrees: 1241 pixels at f = 718.856
 
 
-@pytest.fixture
-def drive(shared_data: Path, tmp_path: Path):
-    """An MP4 of the first frames of KITTI 00, and the recording itself for its true poses."""
-    root = shared_data / "kitti_odometry"
-    if not (root / "sequences/00/image_0/000000.png").is_file():
-        pytest.skip("KITTI 00 is not at hand")
-    recording = prgbd.make_data("kitti_odometry", root=root, sequence="00", stop=FRAMES)
+@pytest.fixture(params=["rendered", pytest.param("kitti", marks=pytest.mark.shared)])
+def drive(request, tmp_path: Path):
+    """An MP4 of a rendered street or, with ../shared, of KITTI 00, and the recording itself for camera and truth."""
+    if request.param == "kitti":
+        root = request.getfixturevalue("shared_data")("kitti_odometry")
+        recording = prgbd.make_data("kitti_odometry", root=root, sequence="00", stop=FRAMES)
+    else:
+        recording = prgbd.make_data("synthetic", sequence="street-0", frames=FRAMES)
     path = tmp_path / "drive.mp4"
     size = (recording.camera.width, recording.camera.height)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10.0, size)
@@ -36,8 +37,9 @@ def drive(shared_data: Path, tmp_path: Path):
 @pytest.mark.usefixtures("real_report")
 def test_a_film_of_a_drive_gives_a_trajectory_and_a_report(cli, drive):
     path, recording = drive
+    field_of_view = np.degrees(2 * np.arctan(recording.camera.width / 2 / recording.camera.fx))
     answer = cli(
-        "slam=orb_gtsam", "task=slam", "data=video", f"data.root={path}", f"data.fov={FIELD_OF_VIEW}", "out=run"
+        "slam=orb_gtsam", "task=slam", "data=video", f"data.root={path}", f"data.fov={field_of_view:.1f}", "out=run"
     )
     assert answer.code == 0, answer.err
     assert Path("run/report.html").stat().st_size > 10_000

@@ -61,6 +61,7 @@ def test_what_cannot_be_prepared_is_answered_in_one_sentence(capsys, arguments, 
 
 
 def test_the_real_recordings_are_all_there(shared_data, capsys) -> None:
+    """Needs ../shared; without it the written drive of ``test_a_complete_recording_is_described`` stands in."""
     for name in ("kitti_raw", "tum_rgbd"):
-        assert main(["prepare", name, str(shared_data / name)]) == 0
+        assert main(["prepare", name, str(shared_data(name))]) == 0
         assert "MEND" not in capsys.readouterr().out

@@ -172,8 +172,9 @@ def test_times_and_poses_must_fit_the_images(root: Path) -> None:
         KittiOdometrySequence(root)
 
 
-def test_the_real_sequence(shared_data: Path) -> None:
-    sequence = prgbd.make_data("kitti_odometry", root=shared_data / "kitti_odometry", sequence="00")
+def test_the_real_sequence(shared_data) -> None:
+    """Needs ../shared; without it ``test_frames_poses_and_baseline`` and ``TestContract`` stand in."""
+    sequence = prgbd.make_data("kitti_odometry", root=shared_data("kitti_odometry"), sequence="00")
     prgbd.check_sequence(sequence)
     assert (sequence.camera.width, sequence.camera.height) == (1241, 376)
     assert sequence.baseline == pytest.approx(0.537, abs=1e-3)

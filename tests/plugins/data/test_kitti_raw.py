@@ -184,8 +184,9 @@ def test_a_drive_with_the_other_side_alone_says_so(root: Path) -> None:
 def test_true_depth_of_a_real_frame_is_that_of_the_published_protocol(
     shared_data, shared_reference, truth, key
 ) -> None:
-    expected = json.loads((shared_reference / "kitti_gt_depth_reference.json").read_text())["value"][key]
-    depth = prgbd.make_data("kitti_raw", root=shared_data / "kitti_raw", truth=truth).depth(0)
+    """Needs ../shared; without it ``test_true_depth_is_the_nearest_point_and_no_sensors`` stands in."""
+    expected = json.loads(shared_reference("kitti_gt_depth_reference.json").read_text())["value"][key]
+    depth = prgbd.make_data("kitti_raw", root=shared_data("kitti_raw"), truth=truth).depth(0)
     valid = depth[depth > 0].astype(np.float64)
     assert (list(depth.shape), len(valid)) == (expected["shape"], expected["valid"])
     for value, name in ((valid.mean(), "mean"), (np.median(valid), "median"), (valid.max(), "max")):
@@ -193,6 +194,7 @@ def test_true_depth_of_a_real_frame_is_that_of_the_published_protocol(
 
 
 def test_a_real_drive_keeps_the_contract(shared_data) -> None:
-    sequence = prgbd.make_data("kitti_raw", root=shared_data / "kitti_raw")
+    """Needs ../shared; without it the written drive of ``TestContract`` stands in."""
+    sequence = prgbd.make_data("kitti_raw", root=shared_data("kitti_raw"))
     prgbd.check_sequence(sequence)
     assert [sequence.depth(i) is not None for i in range(10)] == [i % 3 == 0 for i in range(10)]

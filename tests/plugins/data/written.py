@@ -7,6 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+import prgbd
+from prgbd.core.types import PinholeCamera
+
 WIDTH, HEIGHT = 64, 48
 
 
@@ -20,8 +23,12 @@ def picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray
 
 
 def write_picture(path: Path, number: int, width: int = WIDTH, height: int = HEIGHT) -> Path:
+    return write_image(path, picture(number, width, height))
+
+
+def write_image(path: Path, image: np.ndarray) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), picture(number, width, height)[..., ::-1])
+    assert cv2.imwrite(str(path), image[..., ::-1])
     return path
 
 
@@ -29,6 +36,13 @@ def write_depth(path: Path, levels: np.ndarray) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), levels.astype(np.uint16))
     return path
+
+
+def views_of_room(camera: PinholeCamera) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Image, depth and pose of two views, 0.3 m apart, of the synthetic room as that camera sees it."""
+    room = prgbd.make_data("synthetic", scene="indoor", frames=8, width=camera.width, height=camera.height, noise=0)
+    room.camera = camera
+    return [(room.frame(i).image, room.depth(i), room.poses[i]) for i in (0, 7)]
 
 
 def cut(path: Path, part: float = 0.6) -> None:

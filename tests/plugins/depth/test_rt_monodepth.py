@@ -19,11 +19,12 @@ SMALL = {"height": 64, "width": 96}
 
 
 @pytest.mark.parametrize("kind", ["m", "ms"])
-def test_disparities_are_the_published_networks(kind, golden: Path, shared_data: Path):
+def test_disparities_are_the_published_networks(kind, golden: Path, shared_data):
+    """Needs ../shared; without it ``test_disparities_of_made_weights_stay`` stands in."""
     expected = json.loads((golden / "rt_monodepth_s_reference.json").read_text())["disparity"][kind]
-    network = RTMonoDepth(weights=shared_data / "weights/rt_monodepth_s" / f"{kind}_640_192").eval()
+    network = RTMonoDepth(weights=shared_data(f"weights/rt_monodepth_s/{kind}_640_192")).eval()
     assert network.input_size == (192, 640)
-    image = cv2.cvtColor(cv2.imread(str(shared_data / IMAGE)), cv2.COLOR_BGR2RGB)
+    image = cv2.cvtColor(cv2.imread(str(shared_data(IMAGE))), cv2.COLOR_BGR2RGB)
     with torch.inference_mode():
         disparities = network(network.preprocess(image)[None]).disparities
     assert len(disparities) == 3
@@ -33,6 +34,29 @@ def test_disparities_are_the_published_networks(kind, golden: Path, shared_data:
         assert disparity.mean().item() == pytest.approx(figures["mean"], abs=1e-5)
         for v, u, value in figures["samples"]:
             assert disparity[0, 0, v, u].item() == pytest.approx(value, abs=1e-5)
+
+
+def test_disparities_of_made_weights_stay(tmp_path):
+    """The figures were printed when the network was equal to the published one with the published weights."""
+    network = RTMonoDepth(**SMALL)
+    for parameter in network.parameters():
+        chirp = torch.sin(0.1 * torch.arange(parameter.numel(), dtype=torch.float64) ** 2).view_as(parameter)
+        size = 0.1 if parameter.ndim == 1 else (3.5 / parameter[0].numel()) ** 0.5
+        parameter.data = (size * chirp).float()
+    network.save_weights(tmp_path)
+    network = RTMonoDepth(weights=tmp_path).eval()
+    ramp = torch.linspace(0, 1, 64)[:, None] * torch.linspace(1, 0, 96)
+    with torch.inference_mode():
+        disparities = network(torch.stack([ramp, 1 - ramp, ramp.flip(0)])[None]).disparities
+    expected = [
+        (64, 96, 0.3184724, 0.5949560, 0.1666471),
+        (32, 48, 0.6048120, 0.6205515, 0.6293499),
+        (16, 24, 0.4902133, 0.5827402, 0.5516173),
+    ]
+    for disparity, (height, width, *values) in zip(disparities, expected, strict=True):
+        assert disparity.shape == (1, 1, height, width)
+        samples = disparity.mean(), disparity[0, 0, 3, 5], disparity[0, 0, -2, width // 2]
+        assert [sample.item() for sample in samples] == pytest.approx(values, abs=1e-5)
 
 
 def test_contract():

@@ -1,4 +1,7 @@
-"""The SLAM system on real recordings, against measured and motion-captured truth."""
+"""The SLAM system on real recordings of ../shared, against measured and motion-captured truth.
+
+Without them the synthetic scenes of ``tracking/test_tracking.py`` stand in.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,8 @@ Source = Callable[[int], Frame]
 
 
 @pytest.fixture(scope="module")
-def kitchen(shared_data: Path) -> tuple[Source, np.ndarray]:
-    folder = shared_data / "seven_scenes" / "redkitchen" / "seq-01"
-    if not folder.is_dir():
-        pytest.skip("7-Scenes RedKitchen is not on this machine")
+def kitchen(shared_data: Callable[[str], Path]) -> tuple[Source, np.ndarray]:
+    folder = shared_data("seven_scenes/redkitchen/seq-01")
 
     def frame(i: int) -> Frame:
         image = cv2.cvtColor(cv2.imread(str(folder / f"frame-{i:06d}.color.jpg")), cv2.COLOR_BGR2RGB)
@@ -33,10 +34,8 @@ def kitchen(shared_data: Path) -> tuple[Source, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def kitti(shared_data: Path) -> tuple[Source, np.ndarray, PinholeCamera]:
-    folder = shared_data / "kitti_odometry"
-    if not folder.is_dir():
-        pytest.skip("KITTI odometry 00 is not on this machine")
+def kitti(shared_data: Callable[[str], Path]) -> tuple[Source, np.ndarray, PinholeCamera]:
+    folder = shared_data("kitti_odometry")
     rows = np.loadtxt(folder / "poses" / "00.txt")[:40]
     poses = np.concatenate([rows.reshape(-1, 3, 4), np.tile([[[0, 0, 0, 1.0]]], (len(rows), 1, 1))], axis=1)
     line = (folder / "sequences" / "00" / "calib.txt").read_text().splitlines()[0]

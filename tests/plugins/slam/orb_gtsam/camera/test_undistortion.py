@@ -69,7 +69,8 @@ def test_the_trajectory_is_that_of_the_undistorted_camera(sequence):
 
 
 def test_a_real_lens_needs_no_undistorted_images(shared_data):
-    folder = shared_data / "tum_rgbd"
+    """Needs ../shared; without it ``test_the_trajectory_is_that_of_the_undistorted_camera`` stands in."""
+    folder = shared_data("tum_rgbd")
     sequence = TumRgbdSequence(folder)
     recording = folder / "rgbd_dataset_freiburg1_rpy"
     camera = FAMILIES["freiburg1"]

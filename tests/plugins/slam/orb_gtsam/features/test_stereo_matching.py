@@ -100,7 +100,8 @@ def test_a_recording_of_one_camera_cannot_be_stereo():
 
 
 def test_disparities_of_kitti_agree_with_block_matching(shared_data):
-    sequence = prgbd.make_data("kitti_odometry", root=shared_data / "kitti_odometry", sequence="00", stop=21)
+    """Needs ../shared; without it ``test_depth_agrees_with_the_truth_to_a_fraction_of_a_pixel`` stands in."""
+    sequence = prgbd.make_data("kitti_odometry", root=shared_data("kitti_odometry"), sequence="00", stop=21)
     dense = cv2.StereoSGBM.create(0, 128, 5, 8 * 25, 32 * 25, 1, 31, 10, 100, 2)
     settings = Settings(features=2000)
     reader = FrameReader(settings, sequence.camera, "stereo")
@@ -123,7 +124,8 @@ def test_disparities_of_kitti_agree_with_block_matching(shared_data):
 
 
 def test_kitti_keeps_the_true_scale(shared_data):
-    sequence = prgbd.make_data("kitti_odometry", root=shared_data / "kitti_odometry", sequence="00", stop=21)
+    """Needs ../shared; without it ``test_a_run_has_the_true_scale`` stands in."""
+    sequence = prgbd.make_data("kitti_odometry", root=shared_data("kitti_odometry"), sequence="00", stop=21)
     given = sensor_input(sequence, "stereo", None)
     with prgbd.make_slam("orb_gtsam") as slam:
         slam.reset(sequence.camera, "stereo", baseline=given.baseline, fps=10.0)
