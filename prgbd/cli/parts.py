@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from prgbd.cli import settings
 from prgbd.cli.help import choices
 from prgbd.core.errors import ConfigError, DataError, PrgbdError
 from prgbd.core.registry import REGISTRY
+from prgbd.loop.recordings import check_recordings
+from prgbd.loop.seeding import seed_everything
 from prgbd.loop.slam_runs import sensor_input
 
 if TYPE_CHECKING:
@@ -116,15 +115,6 @@ def plugin_options(config: Mapping[str, Any], kind: str) -> dict[str, Any]:
     return {str(key): value for key, value in config[kind].items() if key not in left_out and value != "???"}
 
 
-def seed_everything(seed: int) -> None:
-    """Seed Python, numpy and torch."""
-    import torch
-
-    random.seed(seed)
-    np.random.seed(seed % 2**32)  # noqa: NPY002 - for plug-ins and libraries that draw from the global generator
-    torch.manual_seed(seed)
-
-
 def _id_of(config: Mapping[str, Any], kind: str) -> str:
     node = config.get(kind) or {}
     plugin_id = node.get("id", "")
@@ -219,13 +209,7 @@ def _make_sequences(config: Mapping[str, Any], plugin_id: str) -> tuple[list[Seq
     sequences = REGISTRY.make_sequences(plugin_id, _names(config, "sequences"), **options)
     test_names = _names(config, "test_sequences")
     test_sequences = REGISTRY.make_sequences(plugin_id, test_names, **options) if test_names else []
-    names = [sequence.name for sequence in (*sequences, *test_sequences)]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ConfigError(f"The sequence '{twice[0]}' is named twice in data.sequences and data.test_sequences.")
-    for sequence in (*sequences, *test_sequences):
-        if len(sequence) < 2:
-            raise DataError(f"The sequence '{sequence.name}' has {len(sequence)} frame; SLAM needs at least two.")
+    check_recordings([*sequences, *test_sequences])
     return sequences, test_sequences
 
 

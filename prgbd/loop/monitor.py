@@ -39,3 +39,11 @@ class SilentMonitor:
 
     def say(self, text: str) -> None:
         """See ``Monitor.say``."""
+
+
+class PrintingMonitor(SilentMonitor):
+    """Prints every line, and nothing of the progress within a stage."""
+
+    def say(self, text: str) -> None:
+        """See ``Monitor.say``."""
+        print(text, flush=True)

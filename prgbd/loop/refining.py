@@ -10,16 +10,14 @@ from typing import Any
 from lightning.pytorch.callbacks import Callback
 
 from prgbd.core.data import Sequence
-from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
 from prgbd.io.files import atomic_path
 from prgbd.loop.interrupts import interruptible
-from prgbd.loop.monitor import Monitor, Progress
-from prgbd.loop.store import RunStore
+from prgbd.loop.loop_parts import LoopParts
+from prgbd.loop.monitor import Progress
 from prgbd.training.refinement import refine
-from prgbd.training.refinement_settings import TERMS, RefinementSettings
-from prgbd.training.trainers import TrainerFactory
+from prgbd.training.refinement_settings import TERMS
 
 
 class TrainingProgress(Callback):
@@ -52,34 +50,24 @@ class TrainingProgress(Callback):
             self._progress.advance(len(batch[0]), loss=f"{float(outputs['loss']):.4f}")
 
 
-def refine_in_run(
-    estimator: DepthEstimator,
-    supervised: list[tuple[Sequence, SlamResult]],
-    settings: RefinementSettings,
-    trainer: TrainerFactory,
-    store: RunStore,
-    loop: int,
-    monitor: Monitor,
-) -> dict[str, Any] | None:
+def refine_in_run(parts: LoopParts, supervised: list[tuple[Sequence, SlamResult]], loop: int) -> dict[str, Any] | None:
     """Fine-tune the network in place; leave ``training/losses.csv`` and ``weights/`` in the loop's folder.
 
     Args:
-        estimator: The network, with the weights that SLAM ran with.
+        parts: What the loop works with; the network has the weights that SLAM ran with.
         supervised: Recordings and what SLAM made of them.
-        settings: Options of the refinement.
-        trainer: The Lightning configuration of the run.
-        store: The run.
         loop: Number of the loop.
-        monitor: Who watches.
 
     Returns:
         The figures of the training, or None if SLAM's output holds nothing to learn from.
     """
+    estimator, settings, store, monitor = parts.estimator, parts.refinement, parts.store, parts.monitor
+    assert settings is not None
     folder = store.loop(loop, "training")
     keyframes = sum(len(result.keyframes) for _, result in supervised)
     try:
         with interruptible(), monitor.stage("Refinement", keyframes * settings.epochs) as progress:
-            shown = trainer.extended(TrainingProgress(progress, monitor.say), enable_progress_bar=False)
+            shown = parts.trainer.extended(TrainingProgress(progress, monitor.say), enable_progress_bar=False)
             outcome = refine(estimator, supervised, settings, folder, shown)
     except SlamError as error:
         monitor.say(f"  {error}")

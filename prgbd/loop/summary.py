@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 from prgbd.core.data import Sequence
@@ -76,6 +77,16 @@ def write_summary(
     }
     write_json(store.path(SUMMARY), summary)
     return summary
+
+
+def write_results(store: RunStore, summary: Mapping[str, Any]) -> Path:
+    """Write ``metrics.csv`` and ``report.html`` from the summary of a finished run; return where the report lies."""
+    from prgbd.report.page import write_report
+    from prgbd.report.tables import write_metrics_csv
+
+    write_metrics_csv(dict(summary), store.path("metrics.csv"))
+    write_report(store.folder)
+    return store.path("report.html")
 
 
 def versions() -> dict[str, str]:

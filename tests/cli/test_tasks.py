@@ -69,9 +69,9 @@ def test_the_loop_leaves_the_whole_folder(run, real_report):
 
 def test_a_loop_that_slam_calls_worse_is_rolled_back(run, monkeypatch, real_report):
     """The refinement's own loss falls, yet nothing that SLAM made of the network got better."""
-    from prgbd.loop import self_improving
+    from prgbd.loop import pose_refinement
 
-    real = self_improving.evidence
+    real = pose_refinement.evidence
 
     def spoilt(result, sensor, gap):
         found = real(result, sensor, gap)
@@ -80,7 +80,7 @@ def test_a_loop_that_slam_calls_worse_is_rolled_back(run, monkeypatch, real_repo
         return {**found, "photometric": {k: worse * v for k, v in found["photometric"].items()}}
 
     spoilt.calls = 0
-    monkeypatch.setattr(self_improving, "evidence", spoilt)
+    monkeypatch.setattr(pose_refinement, "evidence", spoilt)
     summary = run("task.max_loops=3", "task.criterion=both", "data.frames=20")
     assert [loop.get("rolled_back", False) for loop in summary["loops"]] == [False, False, True]
     assert summary["stop"]["best_loop"] == 1

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import ConfigError
+from prgbd.loop.criterion import stop_reason
 from prgbd.loop.depth_figures import DepthProtocol, depth_figures, evenly, write_samples
+from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import SilentMonitor
-from prgbd.loop.self_improving import SelfImprovingLoop, loop_name, stop_reason
+from prgbd.loop.pose_refinement import PoseRefinement, loop_name
 from prgbd.loop.sensing import DepthSensor
 from tests.loop import fakes
 from tests.loop.fakes import Tiny, Wall
@@ -102,8 +104,17 @@ def test_depth_figures_count_images_with_truth(tmp_path):
 )
 def test_a_network_that_does_not_know_the_scene_is_pointed_out(sigma, options, warned):
     heard = Listener()
-    loop = SelfImprovingLoop(Tiny(), fakes.Sideways, [Wall()], None, LoopSettings(**options), None, None, monitor=heard)
-    loop._warn_of_a_strange_scene("wall", {"depth_sigma": sigma})
+    settings = LoopSettings(**options)
+    parts = LoopParts(
+        estimator=Tiny(),
+        make_slam=fakes.Sideways,
+        sequences=[Wall()],
+        settings=settings,
+        store=None,
+        identity=None,
+        monitor=heard,
+    )
+    PoseRefinement(parts, 0)._warn_of_a_strange_scene("wall", {"depth_sigma": sigma})
     assert bool(heard.said) == warned
     if warned:
         assert "wall is wrong by 46%" in heard.said[0]

@@ -13,7 +13,9 @@ from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
 from prgbd.io.export import save_result
-from prgbd.loop.self_improving import SelfImprovingLoop, step_name
+from prgbd.loop.loop_parts import LoopParts
+from prgbd.loop.pose_refinement import step_name
+from prgbd.loop.self_improving import SelfImprovingLoop
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
 from prgbd.loop.summary import write_summary, write_truth
 
@@ -37,19 +39,18 @@ def _on_pseudo_depth(job: Job) -> dict[str, Any]:
     parts, config = job.parts, job.config
     assert parts.estimator is not None
     assert parts.make_slam is not None
-    loop = SelfImprovingLoop(
-        parts.estimator,
-        parts.make_slam,
-        [*parts.sequences, *parts.test_sequences],
-        None,
-        replace(settings.loop_settings(config, parts.baseline), max_loops=0),
-        job.store,
-        settings.identity(config, parts),
+    loop = LoopParts(
+        estimator=parts.estimator,
+        make_slam=parts.make_slam,
+        sequences=[*parts.sequences, *parts.test_sequences],
+        settings=replace(settings.loop_settings(config, parts.baseline), max_loops=0),
+        store=job.store,
+        identity=settings.identity(config, parts),
         trainer=job.trainer,
         monitor=job.display,
         make_viewer=settings.viewer_maker(config),
     )
-    return loop.run()
+    return SelfImprovingLoop(loop).run()
 
 
 def _on_recording(job: Job) -> dict[str, Any]:
