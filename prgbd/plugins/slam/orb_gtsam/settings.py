@@ -101,14 +101,15 @@ class Settings:
         loop_min_inliers: Inliers that the similarity between the two keyframes needs.
         loop_min_matches: Points around the loop keyframe that must be found in the new one.
         essential_weight: Common points that make an edge of the essential graph.
-        loop_ba: Whether a loop is followed by a bundle adjustment of its map (numba; up to ``full_ba_keyframes``).
+        loop_ba: Whether a loop is followed by a bundle adjustment of its map (up to ``full_ba_keyframes``).
         focal_length_sigma: Relative standard deviation of the camera's focal length. A map of mono or pseudo depth
             whose pixels know it four times better and contradict it by 1.5 such deviations refines it with all poses
             and points before the last bundle adjustment, and the result names the refined camera. 0 keeps the focal
             length, as ORB-SLAM2 does.
         full_ba: Whether ``finish`` runs a bundle adjustment over the whole map.
         full_ba_iterations: Its iterations.
-        full_ba_backend: "numba" or "gtsam"; both reach the same optimum, numba about ten times faster at 200 keyframes.
+        full_ba_backend: Solver of all bundle adjustments, "numba" or "gtsam"; both reach the same optimum, numba about
+            ten times faster at 200 keyframes.
         full_ba_keyframes: Maps with more keyframes skip it, with a note in the statistics.
     """
 

@@ -23,15 +23,17 @@ from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.features.frame_reader import FrameReader
 from prgbd.plugins.slam.orb_gtsam.loop_closing.keyframe_database import KeyframeDatabase
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_closer import LoopCloser
+from prgbd.plugins.slam.orb_gtsam.map.adjustment import MapAdjuster
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import follow_baseline
 from prgbd.plugins.slam.orb_gtsam.map.map_file import load_map, loaded_keyframes, save_map
 from prgbd.plugins.slam.orb_gtsam.mapping.backend import MappingBackend
-from prgbd.plugins.slam.orb_gtsam.mapping.global_adjustment import adjust_map
 from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.mapping.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.mapping.threaded_backend import ThreadedBackend
+from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.tracking.front_end import FrontEnd
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import DepthInitializer, Initializer
@@ -84,12 +86,27 @@ class OrbGtsamSLAM(GeometricSLAM):
             raise ConfigError(f"The frame rate must be positive, got {fps}; set data.fps.")
         self.close()
         announce_compilation()
-        settings = self.settings
         self._given, self._mode = camera, mode
-        self._reader = FrameReader(settings, camera, mode)
-        extractor = self._reader.left
+        self._reader = FrameReader(self.settings, camera, mode)
         self._running = RunningBaseline() if running else None
-        self._camera = CameraModel(
+        self._camera = self._camera_model(camera, mode, float(baseline or 0.0))
+        extractor = self._reader.left
+        self._map = Map(extractor.capacity, extractor.columns * extractor.rows, self._camera.scales)
+        self._covisibility = CovisibilityGraph(self._map, self.settings.covisible_weight)
+        self._solver = make_solver(self.settings.full_ba_backend)
+        self._adjuster = MapAdjuster(self.settings, self._camera, self._map, self._covisibility, self._solver)
+        self._watch = Stopwatch()
+        self._database = KeyframeDatabase(seed=seed)
+        self._loops = LoopCloser(
+            self.settings, self._camera, self._map, self._covisibility, self._adjuster, self._database, seed
+        )
+        self._backend = self._make_backend()
+        self._front_end = self._make_front_end(fps, seed)
+        self._ready = True
+
+    def _camera_model(self, camera: PinholeCamera, mode: str, baseline: float) -> CameraModel:
+        settings, extractor = self.settings, self._reader.left
+        model = CameraModel(
             camera.undistorted(),
             mode == "mono",
             0.0,
@@ -100,30 +117,52 @@ class OrbGtsamSLAM(GeometricSLAM):
             noise=depth_noise(settings, pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
         )
         if mode != "mono":
-            set_baseline(self._camera, settings, float(baseline or 0.0))
-        cells = extractor.columns * extractor.rows
-        self._map = Map(extractor.capacity, cells, self._camera.scales)
-        self._covisibility = CovisibilityGraph(self._map, settings.covisible_weight)
-        self._watch = Stopwatch()
-        mapper = LocalMapper(settings, self._camera, self._map, self._covisibility, self._watch)
-        self._backend = (
+            set_baseline(model, settings, baseline)
+        return model
+
+    def _make_backend(self) -> MappingBackend:
+        """Make the mapper's side; after the mapper a keyframe passes the loop closer, then enters the database."""
+        settings = self.settings
+        mapper = LocalMapper(settings, self._camera, self._map, self._covisibility, self._adjuster, self._watch)
+        mapper.after_culling.append(self._database.remove)
+        backend = (
             ThreadedBackend(mapper, self._watch, settings.realtime_queue)
             if settings.realtime
             else MappingBackend(mapper, self._watch)
         )
-        self._places = KeyframeDatabase(seed=seed)
-        self._loops = self._close_loops(mapper, self._places, seed)
-        least = settings.keypoints_to_start(camera.width, camera.height)
+        if settings.loop_closing:
+            backend.after_keyframe.append(self._close_loop)
+        backend.after_keyframe.append(self._index)
+        return backend
+
+    def _close_loop(self, k: int) -> None:
+        with self._watch("loop_closing"):
+            self._loops.process(k)
+
+    def _index(self, k: int) -> None:
+        with self._watch("place_index"):
+            self._database.add(k, self._map.features(k).descriptor)
+
+    def _make_front_end(self, fps: float, seed: int) -> FrontEnd:
+        settings, camera = self.settings, self._camera
+        creator = KeyframeCreator(camera, self._map, self._covisibility, settings.keyframe_points)
+        least = settings.keypoints_to_start(camera.pinhole.width, camera.pinhole.height)
         initializer: Initializer = (
-            TwoViewInitializer(settings, self._camera, mapper, least, seed)
-            if self._camera.mono
-            else DepthInitializer(mapper, least)
+            TwoViewInitializer(settings, camera, creator, self._solver, least, seed)
+            if camera.mono
+            else DepthInitializer(creator, least)
         )
-        tracker = Tracker(settings, self._camera, self._map, self._covisibility)
-        relocaliser = Relocaliser(tracker, self._places)
-        outliers = settings.takes_outliers(mode)
-        self._front_end = FrontEnd(tracker, relocaliser, initializer, self._backend, self._watch, fps, outliers)
-        self._ready = True
+        tracker = Tracker(settings, camera, self._map, self._covisibility)
+        return FrontEnd(
+            tracker,
+            Relocaliser(tracker, self._database),
+            initializer,
+            creator,
+            self._backend.is_idle,
+            self._watch,
+            fps,
+            settings.takes_outliers(self._mode),
+        )
 
     def track(self, frame: Frame) -> TrackingResult:
         """Track the next frame; see ``GeometricSLAM.track``.
@@ -189,24 +228,8 @@ class OrbGtsamSLAM(GeometricSLAM):
                 raise ConfigError(f"The map {path} has no keyframes; leave slam.load_map out.")
             for map_id in self._map.map_ids():
                 for k in self._map.alive(map_id).tolist():
-                    self._places.add(k, self._map.features(k).descriptor)
+                    self._database.add(k, self._map.features(k).descriptor)
             self._front_end.start_localisation()
-
-    def _close_loops(self, mapper: LocalMapper, places: KeyframeDatabase, seed: int) -> LoopCloser:
-        """Make the loop closer; it sees every keyframe that was mapped, unless it is off, before the index gets it."""
-        closer = LoopCloser(self.settings, self._camera, self._map, self._covisibility, mapper, places, seed)
-
-        def look(k: int) -> None:
-            with self._watch("loop_closing"):
-                closer.process(k)
-
-        def index(k: int) -> None:
-            with self._watch("place_index"):
-                places.add(k, self._map.features(k).descriptor)
-
-        self._backend.after_keyframe += [look, index] if self.settings.loop_closing else [index]
-        mapper.after_culling.append(places.remove)
-        return closer
 
     def finish(self) -> SlamResult:
         """End the sequence; see ``GeometricSLAM.finish``."""
@@ -217,10 +240,12 @@ class OrbGtsamSLAM(GeometricSLAM):
         if self.settings.full_ba and not self.settings.localise_only:
             if self._mode in _SELF_CALIBRATED and self.settings.focal_length_sigma > 0:
                 with self._watch("self_calibration"):
-                    stats["focal_length"] = self_calibrate(self._map, self._camera, self.settings.focal_length_sigma)
+                    stats["focal_length"] = self_calibrate(
+                        self._map, self._camera, self._solver, self.settings.focal_length_sigma
+                    )
             with self._watch("full_ba"):
-                stats["full_ba"] = adjust_map(self._map, self._camera, self.settings, self._backend.mapper)
-        stats |= self._backend.statistics()
+                stats["full_ba"] = self._adjuster.adjust_globally()
+        stats |= asdict(self._map.counts) | self._backend.statistics()
         stats["loops"] = self._loops.loops
         stats["starts"] = self._front_end.initializer.starts
         stats["stages_ms"] = self._watch.statistics()
@@ -242,7 +267,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         """Stop the mapper and free the map."""
         if "_backend" in self.__dict__:
             self._backend.close()
-        for name in ("_map", "_backend", "_front_end", "_reader", "_near"):
+        for name in ("_map", "_covisibility", "_adjuster", "_loops", "_backend", "_front_end", "_reader"):
             self.__dict__.pop(name, None)
         self._ready = False
 

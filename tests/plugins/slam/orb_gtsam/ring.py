@@ -8,14 +8,14 @@ import numpy as np
 
 from prgbd.core.types import PinholeCamera
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.features.extraction import GRID_CELL, Features
 from prgbd.plugins.slam.orb_gtsam.features.feature_kernels import cell_order
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import exp_se3, inverse
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_closer import LoopCloser
+from prgbd.plugins.slam.orb_gtsam.map.adjustment import MapAdjuster
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 CAPACITY, RADIUS, LAP = 300, 20.0, 60
@@ -70,9 +70,9 @@ class Ring:
         self.camera = CameraModel(CAMERA, self.mono, 0.0 if self.mono else 0.1, 0.0, self.settings.scales(), COLUMNS)
         self.map = Map(CAPACITY, COLUMNS * ROWS, self.camera.scales)
         self.covisibility = CovisibilityGraph(self.map, self.settings.covisible_weight)
-        self.mapper = LocalMapper(self.settings, self.camera, self.map, self.covisibility, Stopwatch())
+        adjuster = MapAdjuster(self.settings, self.camera, self.map, self.covisibility, make_solver("numba"))
         self.places = ExactPlaces()
-        self.closer = LoopCloser(self.settings, self.camera, self.map, self.covisibility, self.mapper, self.places)
+        self.closer = LoopCloser(self.settings, self.camera, self.map, self.covisibility, adjuster, self.places)
         self.rng = np.random.default_rng(self.seed)
         n = 4000
         angle, radius = self.rng.uniform(0, 2 * np.pi, n), RADIUS + self.rng.uniform(-7, 7, n)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import exp_se3
+from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_problem import BundleProblem
 
 CAMERA = (700.0, 700.0, 600.0, 180.0, 380.0)
 
@@ -45,9 +46,14 @@ class Scene:
     bad: np.ndarray
 
     @property
-    def problem(self) -> tuple:
-        """The leading arguments of the bundle adjustments."""
-        return (self.cTw0, self.fixed, self.xyz0, self.kf, self.pt, self.uvr, self.inv_sigma2, *CAMERA)
+    def problem(self) -> BundleProblem:
+        """The problem as it is now."""
+        return BundleProblem(self.cTw0, self.fixed, self.xyz0, self.kf, self.pt, self.uvr, self.inv_sigma2, CAMERA)
+
+    def only(self, rows: np.ndarray) -> BundleProblem:
+        """The problem with these observations alone."""
+        columns = {"pose_row": self.kf, "point_row": self.pt, "uvr": self.uvr, "inv_sigma2": self.inv_sigma2}
+        return replace(self.problem, **{name: column[rows] for name, column in columns.items()})
 
 
 def drive(

@@ -14,7 +14,7 @@ from prgbd.plugins.slam import orb_gtsam
 # Bundle adjustment and motion-only bundle adjustment: the kernels whose sums may be reordered.
 SCRIPT = """
 import numpy as np
-from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_adjustment import local_bundle_adjustment
+from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 from prgbd.plugins.slam.orb_gtsam.optimisation.pose_optimisation import optimise_pose
 from tests.plugins.slam.orb_gtsam.scenes import CAMERA, drive
 
@@ -22,7 +22,7 @@ scene = drive(outliers=0.1)
 rows = scene.kf == 3
 seen = scene.xyz0[scene.pt[rows]], scene.uvr[rows], scene.inv_sigma2[rows]
 pose, inlier = optimise_pose(scene.cTw0[3], *seen, *CAMERA, depth_fallback=True)
-adjusted = local_bundle_adjustment(*scene.problem)
+adjusted = make_solver("numba").refine_locally(scene.problem)
 print(pose.tobytes().hex(), inlier.tobytes().hex(), adjusted.cTw.tobytes().hex(), adjusted.xyz.tobytes().hex())
 """
 

@@ -10,11 +10,10 @@ from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_correction import fuse, move_map, solve_loop
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_detection import LoopDetector, Places
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_verification import Loop, LoopVerifier
+from prgbd.plugins.slam.orb_gtsam.map.adjustment import MapAdjuster
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import apply
-from prgbd.plugins.slam.orb_gtsam.mapping.global_adjustment import adjust_map
-from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -28,7 +27,7 @@ class LoopCloser:
         camera: The camera.
         slam_map: The map.
         covisibility: Covisible keyframes.
-        mapper: Adjusts the map.
+        adjuster: Bundle adjustment.
         places: Finds keyframes by appearance; whoever adds keyframes to the map adds them there.
         seed: Seed of RANSAC.
 
@@ -42,17 +41,12 @@ class LoopCloser:
         camera: CameraModel,
         slam_map: Map,
         covisibility: CovisibilityGraph,
-        mapper: LocalMapper,
+        adjuster: MapAdjuster,
         places: Places,
         seed: int = 0,
     ) -> None:
-        self.settings, self.camera, self.map, self.covisibility, self.mapper = (
-            settings,
-            camera,
-            slam_map,
-            covisibility,
-            mapper,
-        )
+        self.settings, self.camera, self.map = settings, camera, slam_map
+        self.covisibility, self.adjuster = covisibility, adjuster
         self.loops: list[dict[str, Any]] = []
         self._detector = LoopDetector(
             slam_map, covisibility, places, settings.loop_consistency, settings.loop_min_interval
@@ -120,9 +114,9 @@ class LoopCloser:
             fuse(slam_map, self.camera, self.settings, self.covisibility, loop)
         self._closed.append((loop.k, loop.candidate))
         if self.settings.local_ba:
-            self.mapper.adjust(loop.k)
+            self.adjuster.adjust_locally(loop.k)
         if self.settings.loop_ba:
-            adjust_map(slam_map, self.camera, self.settings, self.mapper, only=int(kf.map_id[loop.k]), backend="numba")
+            self.adjuster.adjust_globally(only=int(kf.map_id[loop.k]))
         with slam_map.lock:
             self.covisibility.clear()
         return True

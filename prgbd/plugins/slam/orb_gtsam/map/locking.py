@@ -1,4 +1,4 @@
-"""The lock of the map: fair between tracker and mapper."""
+"""The lock of the map: fair between tracker and mapper, and a way to stop the mapper between two steps."""
 
 from __future__ import annotations
 
@@ -77,3 +77,29 @@ class FairLock:
         self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None
     ) -> None:
         self.release()
+
+
+class MappingStopped(Exception):
+    """The mapper's side was told to stop in the middle of a keyframe."""
+
+
+class StepLock:
+    """A lock for work in many short steps that can be told to stop between two of them."""
+
+    def __init__(self, lock: FairLock) -> None:
+        self._lock = lock
+        self.stopped = False
+
+    def stop(self) -> None:
+        """Let the work, which may be going on in another thread, end before its next step by ``MappingStopped``."""
+        self.stopped = True
+
+    def __enter__(self) -> None:
+        if self.stopped:
+            raise MappingStopped
+        self._lock.acquire()
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        self._lock.release()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.map import map_kernels as kernels
 from prgbd.plugins.slam.orb_gtsam.map.columns import Columns
-from prgbd.plugins.slam.orb_gtsam.map.locking import FairLock
+from prgbd.plugins.slam.orb_gtsam.map.locking import FairLock, StepLock
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -108,8 +109,25 @@ class PointColumns(Columns):
         )
 
 
+@dataclass
+class MapCounts:
+    """What happened to a map since it was begun or loaded, for the statistics."""
+
+    keyframes_added: int = 0
+    keyframes_culled: int = 0
+    points_created: int = 0
+    points_culled: int = 0
+    depths_rejected: int = 0
+
+
 class Map:
     """Keyframes and points, and who sees what.
+
+    Attributes:
+        probation: New points that may yet be culled, by the keyframe that they came with.
+        counts: What happened, for the statistics.
+        lock: Held by whoever reads or changes the map beside another thread; solvers work on copies without it.
+        steps: The same lock for the mapper's side, which works in short steps and can be stopped between them.
 
     Args:
         capacity: Most keypoints of a keyframe.
@@ -123,11 +141,12 @@ class Map:
         self.keyframes = KeyframeColumns(capacity, cells)
         self.points = PointColumns()
         self.current_map = 0
-        self.points_created = 0
+        self.probation: deque[tuple[int, IntArray]] = deque()
+        self.counts = MapCounts()
         # Culled points, and how many keyframes there were then.
         self._gone: deque[tuple[int, IntArray]] = deque()
-        # Held by whoever reads or changes the map beside another thread; solvers work on copies without it.
         self.lock = FairLock()
+        self.steps = StepLock(self.lock)
 
     # Keyframes -------------------------------------------------------------------------------------------------
 
@@ -149,6 +168,7 @@ class Map:
         self.set_pose(k, cTw)
         rows = np.flatnonzero(points >= 0)
         self.observe(k, rows, points[rows])
+        self.counts.keyframes_added += 1
         return k
 
     def set_pose(self, k: int, cTw: FloatArray) -> None:
@@ -224,6 +244,7 @@ class Map:
         kf.cTparent[k] = kf.cTw[k] @ inverse(kf.cTw[parent])
         kf.size[k] = 0
         kf.release(k)
+        self.counts.keyframes_culled += 1
 
     def pose_of(self, k: int) -> FloatArray:
         """Return ``cTw`` of a keyframe, through the keyframes that took its place if it was culled."""
@@ -265,7 +286,7 @@ class Map:
         self.points.clear(np.concatenate(rows))
         first = self.points.grow(missing)
         rows.append(np.arange(first, first + missing))
-        self.points_created += count
+        self.counts.points_created += count
         return np.concatenate(rows)
 
     def observe(self, k: int, rows: IntArray, points: IntArray) -> None:

@@ -57,6 +57,45 @@ def apply(slam_map: Map, anchor: int, correction: Correction) -> None:
     slam_map.refresh(points)
 
 
+def carry_late_keyframes(slam_map: Map, k: int, before: FloatArray, count: int) -> None:
+    """Move keyframes that came while ``k`` was adjusted, and their points, with it; the caller holds ``Map.lock``.
+
+    Args:
+        slam_map: The map.
+        k: The adjusted keyframe, at its new pose.
+        before: (4, 4) ``cTw`` of ``k`` when its adjustment began.
+        count: How many keyframes there were then.
+    """
+    kf, pts = slam_map.keyframes, slam_map.points
+    late = [n for n in range(count, kf.count) if kf.map_id[n] == kf.map_id[k]]
+    if not late:
+        return
+    oldTnew = inverse(before) @ kf.cTw[k]
+    newTold = inverse(oldTnew)
+    for n in late:
+        slam_map.set_pose(n, kf.cTw[n] @ oldTnew)
+        own = slam_map.points_of(n)
+        own = own[own >= 0]
+        own = own[pts.created[own] == n]
+        pts.xyz[own] = pts.xyz[own] @ newTold[:3, :3].T + newTold[:3, 3]
+
+
+def carry_lone_points(slam_map: Map, lone: IntArray, before: FloatArray) -> None:
+    """Move points that one keyframe alone sees with it; the caller holds ``Map.lock``.
+
+    Args:
+        slam_map: The map.
+        lone: (M, 2) rows ``(keyframe, point)``.
+        before: (K, 4, 4) ``cTw`` of all keyframes before they moved.
+    """
+    if len(lone) == 0:
+        return
+    xyz, (at, points) = slam_map.points.xyz, lone.T
+    oldTnew = inverse(before[at]) @ slam_map.keyframes.cTw[at]
+    newTold = inverse(oldTnew)
+    xyz[points] = np.einsum("nij,nj->ni", newTold[:, :3, :3], xyz[points]) + newTold[:, :3, 3]
+
+
 def _rescale(slam_map: Map, map_id: int, scale: FloatArray) -> None:
     """Note that the map changed its units around every keyframe, and give culled ones the units of their place."""
     kf = slam_map.keyframes

@@ -14,8 +14,8 @@ class MappingBackend:
 
     Attributes:
         mapper: Works on the map around a keyframe.
-        after_keyframe: Called in this order with each keyframe once it has been mapped (place index, loop closing,
-            ...), on the mapper's side and without ``Map.lock``: whoever reads or changes the map takes it.
+        after_keyframe: Called in this order with each keyframe once it has been mapped (loop closing, keyframe
+            database, ...), on the mapper's side and without ``Map.lock``: whoever reads or changes the map takes it.
 
     Args:
         mapper: The local mapper.
@@ -26,8 +26,7 @@ class MappingBackend:
         self.mapper, self.watch = mapper, watch
         self.after_keyframe: list[Callable[[int], None]] = []
 
-    @property
-    def idle(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether a keyframe would be mapped at once (ORB-SLAM2's ``AcceptKeyFrames``)."""
         return True
 
@@ -59,5 +58,5 @@ class MappingBackend:
         """Stop working, in the middle of a keyframe if need be."""
 
     def statistics(self) -> dict[str, Any]:
-        """Return counts for the result."""
-        return self.mapper.statistics()
+        """Return what the result tells of the mapper's work beside the tracker; nothing where it works in step."""
+        return {}

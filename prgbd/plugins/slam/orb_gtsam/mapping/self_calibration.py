@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel, measurements
+from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.camera.chi_square import CHI2_MONO
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_adjustment import BundleProblem
+from prgbd.plugins.slam.orb_gtsam.map.map_bundle import collect_bundle
+from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_problem import BundleState
+from prgbd.plugins.slam.orb_gtsam.optimisation.solver import BundleSolver
 
 log = logging.getLogger(__name__)
 
@@ -55,9 +57,9 @@ class FocalLength:
 class _Search:
     """Bundle adjustments of one map at different focal lengths, each from the result of the last."""
 
-    def __init__(self, problem: BundleProblem, given: float, sigma: float) -> None:
-        self.problem, self.given, self.sigma = problem, given, sigma
-        self.focal = problem.camera[:2].copy()
+    def __init__(self, state: BundleState, solver: BundleSolver, given: float, sigma: float) -> None:
+        self.state, self.solver, self.given, self.sigma = state, solver, given, sigma
+        self.focal = state.camera[:2].copy()
         self.rounds = 0
         # Variance of the errors over the assumed one; keypoints are placed better than a pixel, so it is below 1.
         self._excess = 1.0
@@ -67,16 +69,16 @@ class _Search:
 
         At the minimum over poses and points their derivatives vanish, so that of the focal length alone is left.
         """
-        problem = self.problem
+        state = self.state
         self.rounds += 1
-        problem.camera[:2] = self.focal * factor
-        problem.minimise(problem.usable, True, _ITERATIONS, _TOLERANCE)
-        pose = problem.poses[problem.kf]
-        p = np.einsum("nij,nj->ni", pose[:, :3, :3], problem.points[problem.pt]) + pose[:, :3, 3]
-        seen = problem.usable & (p[:, 2] > 1e-9)
+        state.camera[:2] = self.focal * factor
+        self.solver.minimise(state, state.usable, robust=True, iterations=_ITERATIONS, tolerance=_TOLERANCE)
+        pose = state.poses[state.kf]
+        p = np.einsum("nij,nj->ni", pose[:, :3, :3], state.points[state.pt]) + pose[:, :3, 3]
+        seen = state.usable & (p[:, 2] > 1e-9)
         ray = p[seen, :2] / p[seen, 2:] * self.focal
-        error = problem.uvr[seen, :2] - (ray * factor + problem.camera[2:4])
-        weight = problem.weight[seen, 0]
+        error = state.uvr[seen, :2] - (ray * factor + state.camera[2:4])
+        weight = state.weight[seen, 0]
         chi2 = np.maximum(weight * (error**2).sum(axis=1), 1e-12)
         weight = weight * np.minimum(1.0, np.sqrt(CHI2_MONO / chi2))
         data = -float((weight * (error * ray).sum(axis=1)).sum())
@@ -86,9 +88,9 @@ class _Search:
 
     def _freedom(self) -> int:
         """Return the degrees of freedom: two a keypoint, less three a point and six a pose."""
-        problem = self.problem
-        seen = int(np.count_nonzero(np.diff(problem.first)))
-        return max(2 * int(problem.usable.sum()) - 3 * seen - 6 * problem.free, 1)
+        state = self.state
+        seen = int(np.count_nonzero(np.diff(state.first)))
+        return max(2 * int(state.usable.sum()) - 3 * seen - 6 * state.free, 1)
 
     def run(self) -> FocalLength | None:
         """Find where the slope vanishes, by the secant method; None without reason to change it."""
@@ -109,7 +111,7 @@ class _Search:
 
 
 def calibrate_focal_length(
-    slam_map: Map, camera: CameraModel, map_id: int, sigma: float, given: float = 1.0
+    slam_map: Map, camera: CameraModel, solver: BundleSolver, map_id: int, sigma: float, given: float = 1.0
 ) -> FocalLength | None:
     """Refine the focal length together with poses and points of a map, by its pixels alone, and give it to ``camera``.
 
@@ -126,6 +128,7 @@ def calibrate_focal_length(
     Args:
         slam_map: The map; its keyframes and points move.
         camera: Gets the camera, and with pseudo depth the baseline that goes with it.
+        solver: Bundle adjustment.
         map_id: Which of the maps.
         sigma: Relative standard deviation of the focal length that the user gave.
         given: That focal length over the present one.
@@ -133,37 +136,23 @@ def calibrate_focal_length(
     Returns:
         What was found, or None if the map has no reason to change anything; then nothing has changed.
     """
-    kf, pts = slam_map.keyframes, slam_map.points
+    pts = slam_map.points
     with slam_map.lock:
-        keyframes = np.flatnonzero(~kf.bad[: kf.count] & (kf.map_id[: kf.count] == map_id))
+        keyframes = slam_map.alive(map_id)
         if len(keyframes) < _LEAST_KEYFRAMES:
             return None
-        points = slam_map.seen_by(keyframes)
-        seen = slam_map.observations(points)
-        column = np.full(kf.count, -1, np.int64)
-        column[keyframes] = np.arange(len(keyframes))
-        seen = seen[column[seen[:, 0]] >= 0]
-        at, row = seen[:, 0], seen[:, 1]
-        problem = BundleProblem.build(
-            kf.cTw[keyframes],
-            np.arange(len(keyframes)) == 0,
-            pts.xyz[points],
-            column[at],
-            np.ascontiguousarray(seen[:, 2]),
-            measurements(kf.uv[at, row], np.full(len(at), -1.0)),
-            camera.inverse_variance[kf.octave[at, row]],
-            camera.intrinsics,
-        )
-        before = problem.poses.copy()
-    found = _Search(problem, given, sigma).run()
+        fixed = np.arange(len(keyframes)) == 0
+        bundle = collect_bundle(slam_map, camera, keyframes, fixed, slam_map.seen_by(keyframes), with_depth=False)
+    state = BundleState.of(bundle.problem)
+    found = _Search(state, solver, given, sigma).run()
     if found is None:
         return None
-    poses, xyz = _keep_length(before, problem.poses, problem.points)
+    poses, xyz = _keep_length(bundle.problem.cTw, state.poses, state.points)
     with slam_map.lock:
         for k, cTw in zip(keyframes.tolist(), poses, strict=True):
             slam_map.set_pose(k, cTw)
-        pts.xyz[points] = xyz
-        slam_map.refresh(points[~pts.bad[points]])
+        pts.xyz[bundle.points] = xyz
+        slam_map.refresh(bundle.points[~pts.bad[bundle.points]])
         c = camera.pinhole
         camera.pinhole = replace(c, fx=c.fx * found.factor, fy=c.fy * found.factor)
         camera.baseline /= found.factor
@@ -182,11 +171,11 @@ def _keep_length(before: FloatArray, poses: FloatArray, xyz: FloatArray) -> tupl
     return poses, new[0] + scale * (xyz - new[0])
 
 
-def self_calibrate(slam_map: Map, camera: CameraModel, sigma: float) -> dict[str, Any]:
+def self_calibrate(slam_map: Map, camera: CameraModel, solver: BundleSolver, sigma: float) -> dict[str, Any]:
     """Let the map with most keyframes refine the focal length of all; return what was found, for the statistics."""
     kf = slam_map.keyframes
     sizes = np.bincount(kf.map_id[: kf.count][~kf.bad[: kf.count]], minlength=1)
-    found = calibrate_focal_length(slam_map, camera, int(np.argmax(sizes)), sigma)
+    found = calibrate_focal_length(slam_map, camera, solver, int(np.argmax(sizes)), sigma)
     if found is None:
         return {"refined": False}
     return {"refined": True, "factor": round(found.factor, 5), "deviation": round(found.deviation, 5)}

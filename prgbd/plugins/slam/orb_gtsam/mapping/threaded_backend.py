@@ -43,9 +43,8 @@ class ThreadedBackend(MappingBackend):
         self._thread = threading.Thread(target=self._work, name="mapper", daemon=True)
         self._thread.start()
 
-    @property
-    def idle(self) -> bool:
-        """See ``MappingBackend.idle``."""
+    def is_idle(self) -> bool:
+        """See ``MappingBackend.is_idle``."""
         with self._changed:
             return not self._busy and not self._jobs
 
@@ -85,13 +84,13 @@ class ThreadedBackend(MappingBackend):
             self._jobs.clear()
             self._changed.notify_all()
             if self._busy:
-                self.mapper.stop()
+                self.mapper.map.steps.stop()
         self._thread.join()
         sys.setswitchinterval(self._interval)
 
     def statistics(self) -> dict[str, Any]:
-        """See ``MappingBackend.statistics``; adds how often and long the tracker waited for the mapper."""
-        return super().statistics() | {
+        """See ``MappingBackend.statistics``: how often and long the tracker waited for the mapper."""
+        return {
             "realtime": {
                 "longest_queue": self._longest,
                 "tracker_waits": self._waits,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from prgbd.core.slam import TrackingResult, TrackingState
 from prgbd.plugins.slam.orb_gtsam.diagnostics.frame_figures import DepthAgreement, depth_agreement
 from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
-from prgbd.plugins.slam.orb_gtsam.mapping.backend import MappingBackend
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
 from prgbd.plugins.slam.orb_gtsam.tracking.history import History
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import Initializer
 from prgbd.plugins.slam.orb_gtsam.tracking.keyframe_decision import needs_keyframe
@@ -26,7 +27,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Handover:
-    """A keyframe for the mapper's side, see ``MappingBackend.insert_keyframe``."""
+    """A keyframe for the mapper's side, and whether the local mapper works on it or only whoever comes after it."""
 
     keyframe: int
     local_mapping: bool = True
@@ -43,7 +44,8 @@ class FrontEnd:
         tracker: Finds poses in the map.
         relocaliser: Finds lost frames in any map.
         initializer: Makes the first keyframes of a map.
-        backend: The mapper's side.
+        creator: Makes keyframes of tracked frames.
+        mapper_is_idle: Tells whether a keyframe would be mapped at once.
         watch: Gathers stage times.
         fps: Frame rate, for the keyframe decision.
         keyframe_outliers: Whether matches that a frame's pose refutes go along into its keyframe.
@@ -54,13 +56,14 @@ class FrontEnd:
         tracker: Tracker,
         relocaliser: Relocaliser,
         initializer: Initializer,
-        backend: MappingBackend,
+        creator: KeyframeCreator,
+        mapper_is_idle: Callable[[], bool],
         watch: Stopwatch,
         fps: float,
         keyframe_outliers: bool = True,
     ) -> None:
         self.tracker, self.relocaliser, self.initializer = tracker, relocaliser, initializer
-        self.backend, self.watch = backend, watch
+        self.creator, self.mapper_is_idle, self.watch = creator, mapper_is_idle, watch
         self.settings, self.camera, self.map, self.covisibility = (
             tracker.settings,
             tracker.camera,
@@ -145,7 +148,7 @@ class FrontEnd:
             # If outliers go along, bundle adjustment, not one frame, decides about them.
             if not self._keyframe_outliers:
                 frame.drop_outliers()
-            k = self.backend.mapper.add_keyframe(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
+            k = self.creator.add(frame.index, frame.timestamp, frame.cTw, frame.features, frame.points)
             tracker.reference, self._last_keyframe = k, frame.ordinal
             self._outliers = (k, frame.outlier.copy())
             frame.points = self.map.points_of(k).copy()
@@ -159,7 +162,7 @@ class FrontEnd:
         if self.settings.localise_only:
             return False
         newest, outliers = self._outliers
-        unmapped = newest == self.tracker.reference and not self.backend.idle
+        unmapped = newest == self.tracker.reference and not self.mapper_is_idle()
         return needs_keyframe(
             self.map,
             self.camera,

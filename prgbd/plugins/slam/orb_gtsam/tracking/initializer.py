@@ -1,4 +1,4 @@
-"""The first keyframes of a map; from one frame with depth here, from two frames without in ``two_view_start``."""
+"""The first keyframes of a map; from one frame with depth here, from two frames without in ``two_view_initializer``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 
 FloatArray = NDArray[np.float64]
@@ -54,8 +54,8 @@ class Initializer(ABC):
         starts: What every map was started from, for the statistics.
     """
 
-    def __init__(self, mapper: LocalMapper, least_keypoints: int) -> None:
-        self.mapper = mapper
+    def __init__(self, creator: KeyframeCreator, least_keypoints: int) -> None:
+        self.creator = creator
         self.least_keypoints = least_keypoints
         self.origin: FloatArray = np.eye(4)
         self.starts: list[dict[str, Any]] = []
@@ -80,7 +80,7 @@ class DepthInitializer(Initializer):
         features = frame.features
         if len(features) <= self.least_keypoints or np.count_nonzero(features.depth > 0) < self._LEAST_POINTS:
             return None
-        k = self.mapper.add_keyframe(frame.index, frame.timestamp, self.origin, features, frame.points)
-        points = self.mapper.lift_all(k)
+        k = self.creator.add(frame.index, frame.timestamp, self.origin, features, frame.points)
+        points = self.creator.lift_all(k)
         self.starts.append({"frames": [frame.index], "points": int(np.count_nonzero(points >= 0))})
         return Started(k, (k,), self.origin, points)

@@ -11,8 +11,9 @@ from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.matching import match_by_projection
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.geometry.two_view import TwoView, initialise_two_view
-from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
-from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_adjustment import local_bundle_adjustment
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
+from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_problem import BundleProblem
+from prgbd.plugins.slam.orb_gtsam.optimisation.solver import BundleSolver
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import Initializer, Placed, Started
 from prgbd.plugins.slam.orb_gtsam.tracking.local_map import match_local_map
@@ -31,7 +32,8 @@ class TwoViewInitializer(Initializer):
     Args:
         settings: Thresholds.
         camera: The camera.
-        mapper: Gets the two keyframes.
+        creator: Gets the two keyframes.
+        solver: Adjusts the two views.
         least_keypoints: Keypoints that both frames must have.
         seed: Seed of the robust estimation.
     """
@@ -46,10 +48,16 @@ class TwoViewInitializer(Initializer):
     _TRIED = 3
 
     def __init__(
-        self, settings: Settings, camera: CameraModel, mapper: LocalMapper, least_keypoints: int, seed: int
+        self,
+        settings: Settings,
+        camera: CameraModel,
+        creator: KeyframeCreator,
+        solver: BundleSolver,
+        least_keypoints: int,
+        seed: int,
     ) -> None:
-        super().__init__(mapper, min(least_keypoints, settings.init_matches))
-        self.settings, self.camera, self.seed = settings, camera, seed
+        super().__init__(creator, min(least_keypoints, settings.init_matches))
+        self.settings, self.camera, self.solver, self.seed = settings, camera, solver, seed
         width, height = camera.pinhole.width, camera.pinhole.height
         self._least_matches = min(settings.init_matches, max(50, settings.feature_count(width, height) // 10))
         self._earlier: deque[TrackedFrame] = deque(maxlen=self._REMEMBERED)
@@ -133,11 +141,11 @@ class TwoViewInitializer(Initializer):
         depth = float(np.median(xyz[good, 2]))
         xyz, c2Tc1 = xyz[good] / depth, c2Tc1.copy()
         c2Tc1[:3, 3] /= depth
-        slam_map, mapper, wTc1 = self.mapper.map, self.mapper, inverse(self.origin)
+        slam_map, creator, wTc1 = self.creator.map, self.creator, inverse(self.origin)
         first.clear()
-        k1 = mapper.add_keyframe(first.index, first.timestamp, self.origin, first.features, first.points)
+        k1 = creator.add(first.index, first.timestamp, self.origin, first.features, first.points)
         cTw = c2Tc1 @ self.origin
-        k2 = mapper.add_keyframe(second.index, second.timestamp, cTw, second.features, second.points)
+        k2 = creator.add(second.index, second.timestamp, cTw, second.features, second.points)
         ids = slam_map.add_points(k1, rows[good], xyz @ wTc1[:3, :3].T + wTc1[:3, 3])
         slam_map.observe(k2, partners[good], ids)
         slam_map.points.created[ids] = k2
@@ -160,19 +168,21 @@ class TwoViewInitializer(Initializer):
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Bundle adjustment of the two views, the first one fixed; return points, motion and which points are good."""
         n, variance = len(rows), self.camera.inverse_variance
-        result = local_bundle_adjustment(
-            np.stack([np.eye(4), views.c2Tc1]),
-            np.array([True, False]),
-            views.xyz[views.good],
-            np.repeat(np.arange(2), n),
-            np.tile(np.arange(n), 2),
-            np.concatenate(
+        problem = BundleProblem(
+            cTw=np.stack([np.eye(4), views.c2Tc1]),
+            fixed=np.array([True, False]),
+            xyz=views.xyz[views.good],
+            pose_row=np.repeat(np.arange(2), n),
+            point_row=np.tile(np.arange(n), 2),
+            uvr=np.concatenate(
                 [self.camera.measured(first.features, rows), self.camera.measured(second.features, partners)]
             ),
-            np.concatenate([variance[first.features.octave[rows]], variance[second.features.octave[partners]]]),
-            *self.camera.intrinsics,
-            iterations=(10, 10),
+            inv_sigma2=np.concatenate(
+                [variance[first.features.octave[rows]], variance[second.features.octave[partners]]]
+            ),
+            camera=self.camera.intrinsics,
         )
+        result = self.solver.refine_locally(problem, iterations=(10, 10))
         return result.xyz, result.cTw[1], result.inlier[:n] & result.inlier[n:]
 
     def _place_earlier(self, first: TrackedFrame, k1: int, points: IntArray) -> list[Placed]:
@@ -206,7 +216,7 @@ class TwoViewInitializer(Initializer):
 
     def _locate(self, frame: TrackedFrame, guess: FloatArray, points: IntArray) -> int:
         """Find the pose of an earlier frame near ``guess``; return its inliers, 0 if it is not found."""
-        slam_map, settings = self.mapper.map, self.settings
+        slam_map, settings = self.creator.map, self.settings
         inliers = 0
         frame.clear()
         frame.cTw = guess

@@ -18,7 +18,7 @@ def run(quarantine: int, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, i
         for i, wTc in enumerate(path(30)):
             system.track(view(i, wTc))
         slam_map = system._map
-        return system.finish().trajectory.positions, slam_map.points_created, slam_map.points.count
+        return system.finish().trajectory.positions, slam_map.counts.points_created, slam_map.points.count
 
 
 def test_reusing_rows_of_culled_points_changes_nothing_but_the_memory(monkeypatch) -> None:

@@ -11,9 +11,11 @@ from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import exp_se3, inverse
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.mapping.self_calibration import calibrate_focal_length, self_calibrate
+from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 
 POINTS = 300
 SIGMA = 0.01
+SOLVER = make_solver("numba")
 
 
 def pinhole(focal: float) -> PinholeCamera:
@@ -62,7 +64,7 @@ def length(slam_map: Map) -> float:
 def test_a_turning_camera_finds_its_focal_length(given: float) -> None:
     slam_map, camera = made(500.0, given, turning=True)
     before = length(slam_map)
-    found = calibrate_focal_length(slam_map, camera, 0, SIGMA)
+    found = calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA)
     assert found is not None
     assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
     assert camera.pinhole.fy == camera.pinhole.fx
@@ -73,7 +75,7 @@ def test_a_turning_camera_finds_its_focal_length(given: float) -> None:
 
 def test_the_map_fits_its_observations_afterwards() -> None:
     slam_map, camera = made(500.0, 490.0, turning=True)
-    assert calibrate_focal_length(slam_map, camera, 0, SIGMA) is not None
+    assert calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA) is not None
     kf, pts = slam_map.keyframes, slam_map.points
     errors = []
     for k in range(kf.count):
@@ -91,7 +93,7 @@ def test_the_map_fits_its_observations_afterwards() -> None:
 def test_without_reason_nothing_changes(given: float, turning: bool) -> None:
     slam_map, camera = made(500.0, given, turning=turning)
     poses, points = slam_map.keyframes.cTw.copy(), slam_map.points.xyz.copy()
-    assert self_calibrate(slam_map, camera, SIGMA) == {"refined": False}
+    assert self_calibrate(slam_map, camera, SOLVER, SIGMA) == {"refined": False}
     assert camera.pinhole.fx == given
     assert np.array_equal(slam_map.keyframes.cTw, poses)
     assert np.array_equal(slam_map.points.xyz, points)
@@ -100,14 +102,14 @@ def test_without_reason_nothing_changes(given: float, turning: bool) -> None:
 def test_the_largest_map_decides() -> None:
     slam_map, camera = made(500.0, 490.0, turning=True)
     slam_map.keyframes.map_id[:20] = 1
-    found = self_calibrate(slam_map, camera, SIGMA)
+    found = self_calibrate(slam_map, camera, SOLVER, SIGMA)
     assert found["refined"]
     assert found["factor"] == pytest.approx(500.0 / 490.0, rel=3e-3)
 
 
 def test_few_keyframes_are_not_asked() -> None:
     slam_map, camera = made(500.0, 490.0, turning=True, keyframes=6)
-    assert calibrate_focal_length(slam_map, camera, 0, SIGMA) is None
+    assert calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA) is None
     assert camera.pinhole.fx == 490.0
 
 
@@ -120,7 +122,7 @@ def test_pseudo_depth_has_no_say_and_keeps_its_measurements() -> None:
         slam_map.keyframes.uv[: slam_map.keyframes.count, :, 0] - wrong
     )
     bf = camera.bf
-    found = calibrate_focal_length(slam_map, camera, 0, SIGMA)
-    assert found == calibrate_focal_length(pixels_alone, mono, 0, SIGMA)
+    found = calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA)
+    assert found == calibrate_focal_length(pixels_alone, mono, SOLVER, 0, SIGMA)
     assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
     assert camera.bf == pytest.approx(bf)  # a right column still means the depth that was measured

@@ -12,9 +12,8 @@ import pytest
 
 from prgbd.core.types import Frame, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
-from prgbd.plugins.slam.orb_gtsam.mapping import local_mapper as local_mapping
 from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
-from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_adjustment import BundleResult
+from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_problem import BundleResult
 from tests.plugins.slam.orb_gtsam.walls import CAMERA, error, path, pose, view
 
 POSES = path(36)
@@ -120,7 +119,7 @@ def test_closing_in_the_middle_stops_the_mapper(frames, monkeypatch) -> None:
 
     def announce(self: LocalMapper, k: int) -> None:
         entered.set()
-        while not self._stopped:
+        while not self.map.steps.stopped:
             time.sleep(0.001)
         process(self, k)
 
@@ -148,20 +147,20 @@ def test_a_keyframe_that_comes_during_bundle_adjustment_moves_with_the_adjusted_
         system.reset(CAMERA, "rgbd", baseline=0.1, fps=10.0)
         for frame in frames[:10]:
             system.track(frame)
-        slam_map, mapper = system._map, system._backend.mapper
+        slam_map, solver = system._map, system._solver
         kf = slam_map.keyframes
         k, late = int(slam_map.alive()[-1]), kf.count
         moved = pose(0.3, -0.2, 0.1, 0.05)
-        solve = local_mapping.local_bundle_adjustment
+        solve = solver.refine_locally
 
-        def solve_while_another_comes(*args, **options) -> BundleResult:
+        def solve_while_another_comes(problem, **options) -> BundleResult:
             features = slam_map.features(k)
-            mapper.add_keyframe(99, 9.9, kf.cTw[k], features, np.full(len(features), -1))
-            result = solve(*args, **options)
+            system._front_end.creator.add(99, 9.9, kf.cTw[k], features, np.full(len(features), -1))
+            result = solve(problem, **options)
             return dataclasses.replace(result, cTw=result.cTw @ moved)
 
-        monkeypatch.setattr(local_mapping, "local_bundle_adjustment", solve_while_another_comes)
-        mapper.adjust(k)
+        monkeypatch.setattr(solver, "refine_locally", solve_while_another_comes)
+        system._adjuster.adjust_locally(k)
         np.testing.assert_allclose(kf.cTw[late], kf.cTw[k], atol=1e-9)
         seen = np.flatnonzero(slam_map.points_of(late) >= 0)
         xyz = slam_map.points.xyz[slam_map.points_of(late)[seen]]

@@ -63,7 +63,7 @@ def test_black_frames_neither_start_a_map_nor_cost_a_search(frames) -> None:
     with begin(restart_after=3, restart_keyframes=99) as system:
         states_of(system, frames[:10])
         asked = []
-        system._places.query = lambda *_, **__: asked.append(1)
+        system._database.query = lambda *_, **__: asked.append(1)
         assert states_of(system, [black(10 + i) for i in range(30)]) == ["lost"] * 30
         assert not asked
         assert system.finish().stats["maps"] == 1

@@ -10,7 +10,7 @@ from prgbd.core.slam import TrackingState
 from prgbd.core.testing.planar_scene import planar_scene
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
-from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
 from tests.contracts import SlamContract
 from tests.plugins.slam.orb_gtsam.walls import CAMERA, error, path, pose, view
 
@@ -155,15 +155,15 @@ def test_a_sequence_without_anything_to_see_has_an_empty_result() -> None:
 @pytest.mark.parametrize("kept", [True, False])
 def test_outliers_go_along_into_keyframes_only_if_they_may(frames, kept: bool, monkeypatch) -> None:
     refuted = []
-    add_keyframe = LocalMapper.add_keyframe
+    add = KeyframeCreator.add
 
-    def watched(mapper, index, timestamp, cTw, features, points):
+    def watched(creator, index, timestamp, cTw, features, points):
         rows = np.flatnonzero((points >= 0) & (features.depth > 0) & (features.octave <= 1))
-        seen = mapper.map.points.xyz[points[rows]] @ cTw[2, :3] + cTw[2, 3]
+        seen = creator.map.points.xyz[points[rows]] @ cTw[2, :3] + cTw[2, 3]
         refuted.append(int(np.count_nonzero(np.abs(seen - features.depth[rows]) > 0.5 * seen)))
-        return add_keyframe(mapper, index, timestamp, cTw, features, points)
+        return add(creator, index, timestamp, cTw, features, points)
 
-    monkeypatch.setattr(LocalMapper, "add_keyframe", watched)
+    monkeypatch.setattr(KeyframeCreator, "add", watched)
     wrong = []
     for frame in frames[:12]:
         depth = frame.depth.copy()
