@@ -26,7 +26,8 @@ class AblationTable(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the table of all runs that ended."""
-        from prgbd.report import ablation, tables
+        from prgbd.report import ablation
+        from prgbd.report.rendering import to_rich
 
         folder = Path(str(config.hydra.sweep.dir))
         if not any(folder.glob("*/summary.json")):
@@ -35,7 +36,7 @@ class AblationTable(Callback):
             paths = ablation.join(folder)
             console = make_console()
             for table in ablation.ablation_tables(folder):
-                console.print(tables.to_rich(table))
+                console.print(to_rich(table))
             console.print(f"Table: {', '.join(str(path) for path in paths)}", highlight=False)
         except PrgbdError as error:
             complain(str(error))

@@ -6,11 +6,32 @@ import argparse
 import sys
 from pathlib import Path
 
+from rich.console import Console
+
 from prgbd.core.errors import PrgbdError
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return the exit code (2 for input that cannot work)."""
+    options = _parser().parse_args(arguments)
+    console = Console() if sys.stdout.isatty() else Console(width=200, color_system=None)
+    errors = Console(stderr=True)
+    code = 0
+    for folder in [None] if options.compare else options.folders:
+        try:
+            if folder is None:
+                written = compare(options.folders, options.out, options.columns, console)
+            else:
+                written = report(folder, options.columns, options.figures, console)
+            for path in written:
+                console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+        except PrgbdError as error:
+            errors.print(str(error), markup=False, highlight=False, soft_wrap=True)
+            code = 2
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m prgbd.report",
         description="Rebuild report.html and metrics.csv of a run, or join the runs below a folder into one table.",
@@ -19,90 +40,68 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--compare", action="store_true", help="put the runs side by side on one page")
     parser.add_argument("--out", type=Path, default=Path("comparison"), metavar="DIR", help="folder of the comparison")
     parser.add_argument(
+        "--columns",
+        type=lambda text: [name for name in text.split(",") if name],
+        default=[],
+        metavar="NAME,NAME",
+        help="columns of the tables, such as ate_last,abs_rel; of a run it also writes tables.md, .csv and .tex",
+    )
+    parser.add_argument(
         "--figures",
         nargs="*",
         metavar="FORMAT",
         help="write the figures of each run for a paper into its folder figures/: pdf, png, svg (pdf and png)",
     )
-    from rich.console import Console
-
-    console = Console() if sys.stdout.isatty() else Console(width=200, color_system=None)
-    errors = Console(stderr=True)
-    code = 0
-    options = parser.parse_args(arguments)
-    for folder in [None] if options.compare else options.folders:
-        try:
-            if folder is None:
-                compare(options.folders, options.out, console)
-            else:
-                report(folder, console)
-                if options.figures is not None:
-                    draw(folder, options.figures, console)
-        except PrgbdError as error:
-            errors.print(str(error), markup=False, highlight=False, soft_wrap=True)
-            code = 2
-    return code
+    return parser
 
 
-def report(folder: Path, console: object) -> None:
-    """Report on one folder.
+def report(folder: Path, columns: list[str], figures: list[str] | None, console: Console) -> list[Path]:
+    """Report on one folder and return the files that were written.
+
+    Args:
+        folder: A run, or a folder of runs.
+        columns: Names of the columns of the tables; empty for all.
+        figures: Formats of the figures to write of a run, empty for the usual ones, None for no figures.
+        console: Where tables are printed.
 
     Raises:
-        DataError: If the folder is neither a run nor a folder of runs.
+        DataError: If the folder is neither a run nor a folder of runs, or the run has nothing to draw.
+        ConfigError: If there is no such column or format.
     """
-    from rich.console import Console
-
     from prgbd.report import ablation, tables
     from prgbd.report.page import write_report
-    from prgbd.report.reading import open_run
-
-    assert isinstance(console, Console)
-    if (folder / "summary.json").is_file():
-        run = open_run(folder)
-        tables.print_summary(run.summary, console)
-        tables.write_metrics_csv(run.summary, folder / "metrics.csv")
-        written = [write_report(folder)]
-    else:
-        written = list(ablation.join(folder))
-        for table in ablation.ablation_tables(folder):
-            console.print(tables.to_rich(table))
-    for path in written:
-        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
-
-
-def draw(folder: Path, formats: list[str], console: object) -> None:
-    """Write the figures of a run as files.
-
-    Raises:
-        ConfigError: If a format is unknown.
-        DataError: If the folder is no run, or the run has nothing to draw.
-    """
-    from rich.console import Console
-
     from prgbd.report.print_figures import write_figures
+    from prgbd.report.reading import open_run
+    from prgbd.report.rendering import to_rich, write_tables
+    from prgbd.report.table import choose_columns
 
-    assert isinstance(console, Console)
-    for path in write_figures(folder, formats):
-        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+    if not (folder / "summary.json").is_file():
+        for table in choose_columns(ablation.ablation_tables(folder), columns):
+            console.print(to_rich(table))
+        return ablation.join(folder, columns)
+    summary = open_run(folder).summary
+    written = []
+    if columns:
+        written = write_tables(choose_columns(tables.run_tables(summary), columns), folder, "tables")
+    tables.print_summary(summary, console, columns)
+    tables.write_metrics_csv(summary, folder / "metrics.csv")
+    return [*written, write_report(folder), *([] if figures is None else write_figures(folder, figures))]
 
 
-def compare(folders: list[Path], out: Path, console: object) -> None:
-    """Put several runs side by side.
+def compare(folders: list[Path], out: Path, columns: list[str], console: Console) -> list[Path]:
+    """Put several runs side by side and return the files that were written.
 
     Raises:
         DataError: If fewer than two finished runs are there.
+        ConfigError: If there is no such column.
     """
-    from rich.console import Console
-
-    from prgbd.report import tables
     from prgbd.report.compare import write_comparison
+    from prgbd.report.rendering import to_rich
 
-    assert isinstance(console, Console)
-    written, paths = write_comparison(folders, out)
-    for table in written:
-        console.print(tables.to_rich(table))
-    for path in paths:
-        console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+    tables, written = write_comparison(folders, out, columns)
+    for table in tables:
+        console.print(to_rich(table))
+    return written
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""The trajectories and maps of a recording in one frame: the truth's, or the first loop's where there is none."""
+"""The trajectories and maps of a recording in one frame: the truth's, or the first trajectory's where there is none."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +19,46 @@ from prgbd.report.reading import Run
 from prgbd.report.words import number
 
 FEWEST_POSES = 3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What SLAM made of a recording.
+
+    Attributes:
+        label: Name of the loop or the run.
+        colour: Of its lines.
+        result: Trajectory and map.
+        ate: ATE RMSE in metres, None where it is not known.
+    """
+
+    label: str
+    colour: str
+    result: SlamResult
+    ate: float | None = None
+
+    @property
+    def title(self) -> str:
+        """The label with the error."""
+        return self.label if self.ate is None else f"{self.label}, {number(self.ate)} m"
+
+
+def ate_of(entry: dict[str, Any], name: str) -> float | None:
+    """Return the ATE RMSE of a recording in an entry of the summary."""
+    return ((entry.get("pose") or {}).get(name) or {}).get("ate_rmse")
+
+
+def estimates(run: Run, name: str, chosen: Iterable[dict[str, Any]]) -> list[Estimate]:
+    """Return what those of the chosen entries (baselines and loops) found of a recording that have a result."""
+    baselines = run.entries[: len(run.entries) - len(run.loops)]
+    colours = dict(zip(map(id, baselines), BASELINE_COLOURS, strict=False))
+    colours |= dict(zip(map(id, run.loops), loop_colours(len(run.loops)), strict=True))
+    found = [(entry, run.result(entry, name)) for entry in chosen]
+    return [
+        Estimate(run.label(entry), colours[id(entry)], result, ate_of(entry, name))
+        for entry, result in found
+        if result is not None
+    ]
 
 
 @dataclass
@@ -53,41 +94,31 @@ class AlignedSequence:
         return "m" if self.has_truth else "map units"
 
 
-def entry_colours(run: Run) -> dict[int, str]:
-    """Return a colour for each entry of a run (baselines and loops) by its ``id()``."""
-    baselines = run.entries[: len(run.entries) - len(run.loops)]
-    found = dict(zip(map(id, baselines), BASELINE_COLOURS, strict=False))
-    return found | dict(zip(map(id, run.loops), loop_colours(len(run.loops)), strict=True))
-
-
-def aligned_sequence(run: Run, name: str, results: list[tuple[dict[str, Any], SlamResult]]) -> AlignedSequence:
-    """Align results of a recording by Sim3.
+def aligned_sequence(name: str, found: Sequence[Estimate], truth: Trajectory | None) -> AlignedSequence:
+    """Align what was found of a recording by Sim3.
 
     Args:
-        run: The run.
         name: Of the recording.
-        results: Entries of the run's summary with what they found, at least one.
+        found: What is drawn, at least one.
+        truth: The true poses, if they are known.
     """
-    colours = entry_colours(run)
-    truth = run.truth(name)
     known = truth is not None and len(truth) >= FEWEST_POSES
-    out = AlignedSequence(name, truth if truth is not None and known else results[0][1].trajectory, known)
+    out = AlignedSequence(name, truth if truth is not None and known else found[0].result.trajectory, known)
     if truth is not None and len(truth):
         out.paths.append(Path3D("truth", np.arange(len(truth)), truth.positions))
-    for loop, result in results:
-        found = align(result.trajectory, out.reference)
-        label, colour, frames = run.label(loop), colours[id(loop)], result.trajectory.frame_index
-        if found is None:
-            out.left_out.append(label)
+    for estimate in found:
+        trajectory, points = estimate.result.trajectory, estimate.result.points
+        aligned = align(trajectory, out.reference)
+        if aligned is None:
+            out.left_out.append(estimate.label)
             continue
-        transform, rows, errors = found
-        ate = ((loop.get("pose") or {}).get(name) or {}).get("ate_rmse")
-        text = label + (f", {number(ate)} m" if ate is not None else "")
-        out.paths.append(Path3D(text, frames, transform.points(result.trajectory.positions), colour))
-        if len(result.points):
-            out.clouds.append(Cloud(text, transform.points(result.points.xyz), result.points.rgb))
+        transform, rows, errors = aligned
+        path = Path3D(estimate.title, trajectory.frame_index, transform.points(trajectory.positions), estimate.colour)
+        out.paths.append(path)
+        if len(points):
+            out.clouds.append(Cloud(estimate.title, transform.points(points.xyz), points.rgb))
         if known:
-            out.errors.append((label, colour, frames[rows], errors))
+            out.errors.append((estimate.label, estimate.colour, trajectory.frame_index[rows], errors))
     return out
 
 

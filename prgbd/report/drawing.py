@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import io
 import re
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -80,40 +84,53 @@ def new_figure(
     return figure, figure.subplots(rows, columns, **options)
 
 
-def to_svg(figure: Figure) -> bytes:
-    """Render as SVG; the same figure gives the same bytes."""
-    buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
+# What makes the same figure the same bytes.
+_METADATA: dict[str, dict[str, None]] = {
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    "png": {},
+}
 
 
-def to_pdf(figure: Figure) -> bytes:
-    """Render as PDF with text that can be searched; the same figure gives the same bytes."""
+def to_bytes(figure: Figure, suffix: str) -> bytes:
+    """Render as ``svg``, as ``pdf`` with text that can be searched, or as ``png`` on white, 300 dots per inch."""
     buffer = io.BytesIO()
+    options: dict[str, Any] = {"facecolor": "white", "dpi": 300} if suffix == "png" else {}
     with matplotlib.rc_context({**STYLE, "pdf.fonttype": 42}):
-        figure.savefig(buffer, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+        figure.savefig(buffer, format=suffix, metadata=_METADATA[suffix], **options)
     return buffer.getvalue()
 
 
-def to_png(figure: Figure, dpi: int = 160) -> bytes:
-    """Render as PNG on white."""
-    buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
-    return buffer.getvalue()
+@dataclass(frozen=True)
+class Drawing:
+    """A figure for the page, and where it has a name for a file, too.
+
+    Attributes:
+        label: Description for screen readers, unique on the page.
+        figure: The figure.
+        caption: Words below it.
+        name: Of the file, such as ``abs_rel-by-cap``.
+    """
+
+    label: str
+    figure: Figure
+    caption: str = ""
+    name: str = ""
+
+    @cached_property
+    def svg(self) -> Markup:
+        """The figure as an element for HTML that follows the page's theme."""
+        return inline_svg(to_bytes(self.figure, "svg"), self.label)
 
 
-def inline_svg(svg: bytes, label: str, prefix: str) -> str:
+def inline_svg(svg: bytes, label: str) -> Markup:
     """Return an SVG as an element for HTML that follows the page's theme.
 
     Args:
-        svg: What ``to_svg`` returned.
-        label: Description for screen readers.
-        prefix: Unique on the page, so that references of several figures do not meet.
+        svg: What ``to_bytes`` returned.
+        label: Description for screen readers, unique on the page, so that references of several figures do not meet.
     """
-    from html import escape
-
+    prefix = f"f{zlib.crc32(label.encode()):08x}-"
     text = svg.decode("utf-8")
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -124,7 +141,7 @@ def inline_svg(svg: bytes, label: str, prefix: str) -> str:
     for colour, name in ((INK, "ink"), (MUTED, "muted"), (GRID, "grid")):
         text = text.replace(colour, f"var(--{name})")
     text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
-    return text.replace("<svg", f'<svg role="img" aria-label="{escape(label, quote=True)}"', 1)
+    return Markup(text.replace("<svg", f'<svg role="img" aria-label="{escape(label)}"', 1))
 
 
 def broken(frames: NDArray[np.int64], *columns: NDArray[Any]) -> list[NDArray[np.float64]]:
@@ -145,9 +162,3 @@ def legend_above(figure: Figure, ax: Axes, columns: int = 2) -> None:
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=1.8)
-
-
-def figure_html(figure: Any, label: str, caption: str, key: str) -> str:
-    """Return a figure element; ``key`` must be unique on the page, ``caption`` is HTML."""
-    svg = inline_svg(to_svg(figure), label, key)
-    return f"<figure>{svg}{f'<figcaption>{caption}</figcaption>' if caption else ''}</figure>"

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 SHADES = ("#2f7fc8", "#e0783a", "#12998b", "#c2528b", "#7a5fd0", "#9a8032", "#5f6b7a", "#b04a3a")
 HEIGHTS = (1.8, 4.0)  # inches, of the axes of trajectories seen from above
+STRAY = 0.02  # share of a map's points on each side that a view from above need not show
+FAR = 50  # times the extent of the paths that points may lie away to be shown
 STATE_COLOURS = {
     "ok": "#3aa675",
     "interpolated": "#e0a73c",
@@ -78,6 +80,27 @@ def horizontal_axes(wTc: NDArray[np.float64]) -> tuple[int, int]:
     return (second, first) if down[axis] > 0 else (first, second)
 
 
+def extent(paths: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and the highest corner of the box that paths and map fill.
+
+    A few points of every map are far from where they belong and would make the rest a speck, so the outermost
+    ``STRAY`` of the points on each side do not count, nor do those ``FAR`` times the size of the paths away.
+
+    Args:
+        paths: (N, D) positions of all paths.
+        points: (P, D) points of all maps.
+    """
+    paths = paths if len(paths) else np.zeros((1, paths.shape[1]))
+    low, high = paths.min(axis=0), paths.max(axis=0)
+    reach = FAR * float((high - low).max())
+    near = points[np.isfinite(points).all(axis=1)]
+    near = near[(np.abs(near - (low + high) / 2) < reach).all(axis=1)]
+    if len(near):
+        inner, outer = np.quantile(near, (STRAY, 1 - STRAY), axis=0)
+        low, high = np.minimum(low, inner), np.maximum(high, outer)
+    return low, high
+
+
 @matplotlib.rc_context(STYLE)
 def trajectory_figure(
     paths: Sequence[Path3D], axes: tuple[int, int], points: NDArray[np.float64] | None = None, unit: str = "m"
@@ -90,17 +113,16 @@ def trajectory_figure(
         points: (P, 3) map points to draw faintly below, or None.
         unit: Unit of the axes.
     """
-    positions = np.concatenate([p.xyz for p in paths if len(p.xyz)] or [np.zeros((1, 3))])[:, list(axes)]
-    low, high = positions.min(axis=0), positions.max(axis=0)
+    flat = (np.zeros((0, 3)) if points is None else points)[:, list(axes)]
+    low, high = extent(np.concatenate([np.zeros((0, 3)), *(p.xyz for p in paths)])[:, list(axes)], flat)
     margin = 0.08 * max(float((high - low).max()), 1e-6)
     middle, size = (low + high) / 2, high - low + 2 * margin
     inches = np.array([4.5, float(np.clip(4.5 * size[1] / size[0], *HEIGHTS))])  # about the size of the axes
+    half = 0.5 * (size / inches).max() * inches
     figure, ax = new_figure(inches[1] + 1.0)
-    if points is not None and len(points):
-        flat = points[:, list(axes)]
-        # The view stays near the path: a few far points would shrink it to a speck.
-        near = np.all((flat > low - 8 * margin) & (flat < high + 8 * margin), axis=1)
-        flat = flat[near][:: max(1, int(near.sum()) // 20000)]
+    flat = flat[(np.abs(flat - middle) < half).all(axis=1)]
+    flat = flat[:: max(1, len(flat) // 20000)]
+    if len(flat):
         ax.plot(flat[:, 0], flat[:, 1], ".", color="#8a93a3", ms=1.8, alpha=0.5, mew=0, rasterized=True)
     for path in paths:
         (line,) = broken(path.frames, path.xyz[:, list(axes)])
@@ -111,7 +133,6 @@ def trajectory_figure(
         )  # fmt: skip
     if paths and len(paths[0].xyz):
         ax.plot(*paths[0].xyz[0, list(axes)], "o", mfc="none", mec=INK, ms=7, mew=1.3, label="start")
-    half = 0.5 * (size / inches).max() * inches
     ax.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
     ax.set_aspect("equal")
     ax.set_xlabel(f"{'xyz'[axes[0]]} ({unit})")

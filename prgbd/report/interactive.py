@@ -1,24 +1,19 @@
-"""The interactive view of trajectories and map: its data as JSON and its element; ``static/view.js`` draws it."""
+"""The interactive view of trajectories and map: its data; ``static/view.js`` draws it."""
 
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
-from importlib import resources
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.report.drawing import INK, broken
-from prgbd.report.figures import Path3D
+from prgbd.report.drawing import INK, Drawing, broken
+from prgbd.report.figures import Path3D, extent
 
 MOST_POINTS = 6000  # per cloud; 9 bytes each, and as many as a phone draws while it is turned
-FAR = 50  # times the extent of the paths that points may lie away
-SCRIPTS = ("view.js", "slider.js")
 
 
 @dataclass(frozen=True)
@@ -36,64 +31,50 @@ class Cloud:
     rgb: NDArray[np.uint8]
 
 
-def scripts() -> str:
-    """Return the page's scripts as one element."""
-    files = resources.files("prgbd.report") / "static"
-    text = "\n".join((files / name).read_text(encoding="utf-8").replace('"use strict";\n', "") for name in SCRIPTS)
-    return f'<script>"use strict";\n{text}</script>'
+@dataclass(frozen=True)
+class View:
+    """Trajectories and map, to be turned and as a drawing from above.
+
+    Attributes:
+        drawing: For paper and for browsers without scripts.
+        scene: What ``static/view.js`` draws.
+        toggles: Key in the scene, label and CSS colour of each box that shows and hides.
+    """
+
+    drawing: Drawing
+    scene: dict[str, Any]
+    toggles: list[tuple[str, str, str]]
 
 
-def safe_json(data: Any) -> str:
-    """Return JSON that cannot end the script element it stands in."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def view_html(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, int], unit: str, label: str) -> str:
-    """Return the element of an interactive view; without scripts it is not shown.
+def view(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, int], unit: str, drawing: Drawing) -> View:
+    """Return trajectories and map for the page.
 
     Args:
         paths: The paths; a colour of ``INK`` marks the truth.
         clouds: Maps, each belonging to a path.
         axes: World axes to the right and up in the view from above, see ``figures.horizontal_axes``.
         unit: Unit of lengths.
-        label: Description for screen readers.
+        drawing: The same from above.
     """
-    scene = _scene(paths, clouds, axes, unit)
-    toggles = "".join(_toggle(f"p{i}", path.label, path.colour) for i, path in enumerate(paths))
-    if scene["clouds"]:
-        toggles += _toggle("points", "map points", "#8a93a3")
-    buttons = "".join(
-        f'<button type="button" data-view="{view}">{text}</button>'
-        for view, text in (("top", "From above"), ("3d", "3D"))
-    )
-    return (
-        f'<div class="view3d live"><div class="choices">{buttons}</div>'
-        f'<canvas tabindex="0" role="img" aria-label="{escape(label, quote=True)}"></canvas>'
-        f'<div class="toggles">{toggles}</div>'
-        '<p class="hint">Drag to move (3D: to turn; Shift or two fingers to move). Pinch, + and −, or the wheel '
-        "after a click to zoom; double click to start again.</p>"
-        f'<script type="application/json">{safe_json(scene)}</script></div>'
-    )
-
-
-def _toggle(name: str, label: str, colour: str) -> str:
-    shade = "var(--ink)" if colour == INK else colour
-    return (
-        f'<label><input type="checkbox" checked data-show="{name}"><i style="background:{shade}"></i>'
-        f"{escape(label)}</label>"
-    )
+    shown = _scene(paths, clouds, axes, unit)
+    shades = ["var(--ink)" if path.colour == INK else path.colour for path in paths]
+    toggles = [(f"p{i}", path.label, shade) for i, (path, shade) in enumerate(zip(paths, shades, strict=True))]
+    toggles += [("points", "map points", "#8a93a3")] if shown["clouds"] else []
+    return View(drawing, shown, toggles)
 
 
 def _scene(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, int], unit: str) -> dict[str, Any]:
-    """Turn everything to x right, y away, z up around the middle of the paths."""
+    """Turn everything to x right, y away, z up around the middle of paths and maps."""
     right, away = axes
     up = 3 - right - away
     turn = np.zeros((3, 3))
     turn[0, right] = turn[1, away] = turn[2, up] = 1
     turn[2] *= np.linalg.det(turn)  # the view is not mirrored
-    positions = np.concatenate([path.xyz for path in paths if len(path.xyz)] or [np.zeros((1, 3))]) @ turn.T
-    low, high = positions.min(axis=0), positions.max(axis=0)
+    none = np.zeros((0, 3))
+    low, high = extent(
+        np.concatenate([none, *(path.xyz for path in paths)]) @ turn.T,
+        np.concatenate([none, *(cloud.xyz for cloud in clouds)]) @ turn.T,
+    )
     middle, reach = (low + high) / 2, max(float((high - low).max()), 1e-6)
     digits = max(0, 4 - int(np.floor(np.log10(reach))))
     drawn = []
@@ -110,15 +91,9 @@ def _scene(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, in
 def _packed(
     name: str, cloud: Cloud, turn: NDArray[np.float64], middle: NDArray[np.float64], reach: float
 ) -> dict[str, Any] | None:
-    """Points as 16-bit numbers; those far outside are left out, for they would coarsen all the others.
-
-    A camera that turns on the spot has nearly all of its map far outside; there the map decides what is far.
-    """
+    """Points as 16-bit numbers; those far outside are left out, for they would coarsen all the others."""
     xyz = cloud.xyz @ turn.T - middle
-    away = np.abs(xyz).max(axis=1)[np.isfinite(xyz).all(axis=1)]
-    if len(away) and np.median(away) > 2 * reach:
-        reach = min(float(np.quantile(away, 0.9)) / 2, FAR * reach)
-    near = np.flatnonzero(np.isfinite(xyz).all(axis=1) & (np.abs(xyz) < 2 * reach).all(axis=1))
+    near = np.flatnonzero((np.abs(xyz) < 2 * reach).all(axis=1))  # a NaN is not near
     near = near[:: max(1, -(-len(near) // MOST_POINTS))]
     if not len(near):
         return None

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
+from typing import Any
 
 from prgbd.io.files import atomic_path
-from prgbd.report import depth_sections, interactive, sections
-from prgbd.report.reading import Run, open_run, sum_pose
-from prgbd.report.style import CSS
-from prgbd.report.words import Change, depth_change, describe, held_out_change, number, percent, pose_change
+from prgbd.report import curves, figures, pictures, tables
+from prgbd.report.cards import cards
+from prgbd.report.drawing import Drawing
+from prgbd.report.reading import Run, first_and_last_samples, open_run
+from prgbd.report.sequences import MOST_SEQUENCES, sequence_parts
+from prgbd.report.templates import render as render_template
+from prgbd.report.words import describe
 
 LARGEST = 8_000_000  # bytes; a page beyond that is slow to open on a phone
+MOST_FILES = 400
 TITLES = {
     "self_improve": "Self-improving SLAM and depth",
     "slam": "SLAM",
@@ -21,6 +25,16 @@ TITLES = {
 }
 # (width of a depth map in pixels, frames shown): the first that keeps the page small enough is taken.
 DETAIL = ((560, 4), (400, 4), (320, 3), (240, 2), (160, 1), (80, 1))
+# What can be compared by a slider, with one and with two predictions: name, picture on the left, picture on the right.
+SLIDERS = {
+    1: [("Image | depth", "image", "depth0")],
+    2: [
+        ("Depth before | after", "depth0", "depth1"),
+        ("Error before | after", "error0", "error1"),
+        ("Image | depth", "image", "depth1"),
+        ("Truth | depth", "truth", "depth1"),
+    ],
+}
 
 
 def write_report(run: Path | str) -> Path:
@@ -45,25 +59,30 @@ def write_report(run: Path | str) -> Path:
 
 def render(run: Run) -> str:
     """Return the page of a run as HTML below ``LARGEST`` bytes."""
-    before = sections.loops_section(run) + sections.pose_section(run)
-    after = (
-        depth_sections.depth_ranges_section(run)
-        + sections.training_section(run)
-        + sections.figures_section(run)
-        + sections.setup_section(run)
-    )
+    parts = {
+        "run": run,
+        "title": TITLES.get(str(run.summary.get("task")), "Run"),
+        "subject": _subject(run),
+        "facts": _facts(run),
+        "sentences": describe(run.summary),
+        "cards": cards(run),
+        "loops": tables.loops_table(run.summary),
+        "panels": curves.loop_panels(run),
+        "sequences": sequence_parts(run),
+        "most_sequences": MOST_SEQUENCES,
+        "ranges": curves.range_curves(run),
+        "training": _training(run),
+        "tables": [t for t in (tables.pose_table(run.summary), tables.depth_table(run.summary)) if not t.frame.empty],
+        "versions": _versions(run),
+        "configuration": run.text("config.yaml"),
+        "files": _files(run),
+    }
+    samples = first_and_last_samples(run)
     for width, most in DETAIL:
-        body = before + depth_sections.depth_section(run, width, most) + after
-        if len(body.encode()) < LARGEST - 100_000:
+        html = render_template("run.html", **parts, **_depth_maps(samples, width, most))
+        if len(html.encode()) < LARGEST:
             break
-    title = TITLES.get(str(run.summary.get("task")), "Run")
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{escape(title)} · {escape(_subject(run))}</title><style>{CSS}</style>"
-        f"{interactive.scripts()}</head><body>"
-        f"{_header(run, title)}<main>{_cards(run)}{_problems(run)}{body}</main>{_footer(run)}</body></html>\n"
-    )
+    return html
 
 
 def _subject(run: Run) -> str:
@@ -72,91 +91,41 @@ def _subject(run: Run) -> str:
     return f"{run.summary.get('data') or 'no data'} {listed}".strip()
 
 
-def _header(run: Run, title: str) -> str:
-    summary = run.summary
-    facts = {
-        "SLAM": summary.get("slam"),
-        "depth": summary.get("depth"),
-        "data": _subject(run),
-        "seed": summary.get("seed"),
+def _facts(run: Run) -> dict[str, Any]:
+    facts = {"SLAM": run.summary.get("slam"), "depth": run.summary.get("depth"), "data": _subject(run)}
+    facts["seed"] = run.summary.get("seed")
+    return {name: fact for name, fact in facts.items() if fact not in (None, "")}
+
+
+def _depth_maps(samples: list[Any], width: int, most: int) -> dict[str, Any]:
+    """Return depth maps before and after beside image and truth, as pictures no wider than ``width`` pixels."""
+    frames = pictures.depth_rows(samples, most)
+    largest = f"{pictures.ERROR_LIMIT:.0%}"
+    return {
+        "frames": frames,
+        "with_truth": any(row.truth is not None for row in frames),
+        "width": width,
+        "pairs": SLIDERS[2 if len(samples) > 1 else 1],
+        "scales": {"depth": pictures.DEPTH_MAP, "error": pictures.ERROR_MAP, "largest_error": largest},
     }
-    chips = "".join(
-        f"<li><span>{escape(k)}</span>{escape(str(v))}</li>" for k, v in facts.items() if v not in (None, "")
-    )
-    first, *more = describe(summary)
-    rest = "".join(f'<p class="more">{escape(sentence)}</p>' for sentence in more)
-    return (
-        f'<header><p class="eyebrow">prgbd run report</p><h1>{escape(title)}</h1><ul class="chips">{chips}</ul>'
-        f'<p class="lead">{escape(first)}</p>{rest}</header>'
-    )
 
 
-def _cards(run: Run) -> str:
-    cards = [
-        _change_card("Pose error", pose_change(run.summary), len(run.kept_loops)),
-        _change_card("Depth error", depth_change(run.summary), len(run.kept_loops)),
-    ]
-    if not any(cards):
-        cards.append(_change_card("Held-out loss", held_out_change(run.summary), len(run.kept_loops)))
-    if run.loops:
-        last = run.kept_loops[-1]
-        frames, tracked = sum_pose(last, "frames"), sum_pose(last, "tracked_frames")
-        if frames:
-            keyframes, points = sum_pose(last, "keyframes"), sum_pose(last, "points")
-            parts = [f"{keyframes:,} keyframes" if keyframes else "", f"{points:,} map points" if points else ""]
-            cards.append(
-                _card(
-                    "Frames with a pose",
-                    f"{tracked or 0:,} <small>of {frames:,}</small>",
-                    ", ".join(filter(None, parts)),
-                )
-            )
-    seconds = run.summary.get("seconds")
-    if seconds is not None:
-        cards.append(
-            _card("Time", _duration(float(seconds)), f"{len(run.loops)} SLAM passes" if len(run.loops) > 1 else "")
-        )
-    cards = [card for card in cards if card]
-    return f'<div class="cards">{"".join(cards)}</div>' if cards else ""
+def _training(run: Run) -> list[Drawing]:
+    """Return the loss curves of all loops."""
+    found = [(run.label(loop), run.losses(loop)) for loop in run.loops]
+    known = [(label, losses) for label, losses in found if losses]
+    terms = figures.loss_terms(known)
+    return [Drawing(f"training loss {term}", figures.loss_figure(known, term)) for term in terms]
 
 
-def _change_card(name: str, change: Change | None, loops: int) -> str:
-    if change is None:
-        return ""
-    value = f"{number(change.after)}{change.unit.replace(' ', '&nbsp;')}"
-    if loops > 1:
-        value = f"<small>{number(change.before)} →</small> {value}"
-        value += f'<span class="badge {change.verdict}">{percent(change.relative)}</span>'
-    return _card(name, value, change.basis)
+def _versions(run: Run) -> dict[str, Any]:
+    versions = {"prgbd": run.summary.get("prgbd"), "seed": run.summary.get("seed")}
+    versions |= run.summary.get("versions") or {}
+    return {name: version for name, version in versions.items() if version is not None}
 
 
-def _card(name: str, value: str, basis: str) -> str:
-    below = f'<div class="basis">{escape(basis)}</div>' if basis else ""
-    return f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{value}</div>{below}</div>'
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.0f} <small>s</small>"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return (
-        f"{hours} <small>h</small> {minutes} <small>min</small>"
-        if hours
-        else f"{minutes} <small>min</small> {rest} <small>s</small>"
-    )
-
-
-def _problems(run: Run) -> str:
-    if not run.problems:
-        return ""
-    lines = "".join(f"<p>{escape(text)}</p>" for text in dict.fromkeys(run.problems))
-    return f'<div class="problems"><p><b>Not shown, because it could not be read:</b></p>{lines}</div>'
-
-
-def _footer(run: Run) -> str:
-    version = escape(str(run.summary.get("prgbd") or "?"))
-    return (
-        f"<footer>prgbd {version}. Method: Tiwari et al., Pseudo RGB-D for Self-Improving Monocular SLAM and Depth "
-        "Prediction, ECCV 2020. Trajectory errors by evo.</footer>"
-    )
+def _files(run: Run) -> list[tuple[str, int]]:
+    """Return name and size of the run's files but hidden ones and the page itself."""
+    found = [(path, path.relative_to(run.path)) for path in sorted(run.path.rglob("*")) if path.is_file()]
+    wanted = [(p, r) for p, r in found if not any(part.startswith(".") for part in r.parts) and r.name != "report.html"]
+    return [(relative.as_posix(), path.stat().st_size) for path, relative in wanted[:MOST_FILES]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,30 +69,29 @@ def _row(loops: list[tuple[str, DepthSamples]], key: tuple[str, int]) -> DepthRo
     depths = [samples.depth[i] for (_, samples), i in zip(loops, at, strict=True)]
     truths = [s.truth[i] for (_, s), i in zip(loops, at, strict=True) if s.truth is not None]
     truth = next((t for t in truths if (t > 0).any()), None)
-    depths = _to_one_scale(depths, truth)
-    maps = depths if truth is None else [*depths, truth]
-    shown = np.concatenate([m[np.isfinite(m) & (m > 0)] for m in maps])
-    near, far = np.percentile(shown, [2, 98]) if len(shown) else (1.0, 2.0)
+    depths = _to_one_scale(depths, depths[-1] if truth is None else truth)
+    # The colours fit the last network: those of the first, which may be far off, would leave it a part of the scale.
+    refined = depths[-1][np.isfinite(depths[-1]) & (depths[-1] > 0)]
+    near, far = np.percentile(refined, [2, 98]) if len(refined) else (1.0, 2.0)
     far = max(far, near * 1.05)
-    predictions = []
-    for (label, _), depth in zip(loops, depths, strict=True):
-        error = None if truth is None else relative_error(depth, truth)
-        predictions.append(
-            Prediction(
-                label,
-                depth_picture(depth, near, far),
-                None if error is None else error_picture(error),
-                None if error is None else float(np.nanmean(error)),
-            )
-        )
+    predictions = [_prediction(name, depth, truth, near, far) for (name, _), depth in zip(loops, depths, strict=True)]
     picture = None if truth is None else depth_picture(thicken(truth), near, far)
     return DepthRow(key[0], key[1], loops[0][1].images[at[0]], picture, predictions, float(near), float(far))
 
 
-def _to_one_scale(depths: list[NDArray[np.float32]], truth: NDArray[np.float32] | None) -> list[NDArray[np.float32]]:
-    """Scale each map by the ratio of medians, to the truth or else to the first map."""
+def _prediction(
+    label: str, depth: NDArray[np.float32], truth: NDArray[np.float32] | None, near: float, far: float
+) -> Prediction:
+    picture = depth_picture(depth, near, far)
+    if truth is None:
+        return Prediction(label, picture)
+    error = relative_error(depth, truth)
+    return Prediction(label, picture, error_picture(error), float(np.nanmean(error)))
+
+
+def _to_one_scale(depths: list[NDArray[np.float32]], reference: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Scale each map by the ratio of its median to the reference's, where both are known."""
     scaled = []
-    reference = depths[0] if truth is None else truth
     for depth in depths:
         both = (reference > 0) & np.isfinite(depth) & (depth > 0)
         ratio = np.median(reference[both]) / np.median(depth[both]) if both.any() else 1.0
@@ -152,3 +152,8 @@ def to_jpeg(picture: NDArray[np.uint8], width: int, quality: int = 84) -> bytes:
         picture = np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()
+
+
+def jpeg_address(picture: NDArray[np.uint8], width: int) -> str:
+    """Return an RGB picture as an address for HTML that holds it all."""
+    return f"data:image/jpeg;base64,{base64.b64encode(to_jpeg(picture, width)).decode()}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,21 +12,17 @@ from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.io.files import atomic_path
-from prgbd.report import depth_sections, figures, pictures
-from prgbd.report.aligned import aligned_sequence
-from prgbd.report.drawing import STYLE, new_figure, to_pdf, to_png, to_svg
+from prgbd.report import figures, pictures
+from prgbd.report.aligned import aligned_sequence, estimates
+from prgbd.report.curves import range_curves
+from prgbd.report.drawing import STYLE, new_figure, to_bytes
 from prgbd.report.pictures import DepthRow
-from prgbd.report.range_figures import range_curves
-from prgbd.report.reading import Run, open_run
+from prgbd.report.reading import Run, first_and_last_samples, open_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WRITERS: dict[str, Callable[[Figure], bytes]] = {
-    "pdf": to_pdf,
-    "png": lambda figure: to_png(figure, dpi=300),
-    "svg": to_svg,
-}
+FORMATS = ("pdf", "png", "svg")
 DEFAULT = ("pdf", "png")
 FOLDER = "figures"
 MOST_FRAMES = 4  # of the depth maps
@@ -51,16 +47,16 @@ def write_figures(folder: Path | str, formats: Iterable[str] = DEFAULT) -> list[
         DataError: If the folder is no run, or the run has nothing to draw.
     """
     formats = list(dict.fromkeys(formats)) or list(DEFAULT)
-    unknown = [name for name in formats if name not in WRITERS]
+    unknown = [name for name in formats if name not in FORMATS]
     if unknown:
-        raise ConfigError(f"There is no format '{unknown[0]}' of figures; choose {', '.join(WRITERS)}.")
+        raise ConfigError(f"There is no format '{unknown[0]}' of figures; choose {', '.join(FORMATS)}.")
     run = open_run(folder)
     written = []
     for name, figure in all_figures(run):
         for suffix in formats:
             path = run.path / FOLDER / f"{name}.{suffix}"
             with atomic_path(path) as temporary:
-                temporary.write_bytes(WRITERS[suffix](figure))
+                temporary.write_bytes(to_bytes(figure, suffix))
             written.append(path)
     if not written:
         raise DataError(f"{run.path} has neither trajectories nor depth to draw; name the run of another task.")
@@ -78,16 +74,15 @@ def all_figures(run: Run) -> list[tuple[str, Figure]]:
 def _trajectory(run: Run, name: str) -> Figure | None:
     kept = run.kept_loops
     chosen = [*run.entries[: len(run.entries) - len(run.loops)], *kept[:1], *kept[1:][-1:]]
-    found = [(entry, run.result(entry, name)) for entry in chosen]
-    results = [(entry, result) for entry, result in found if result is not None]
-    if not results:
+    found = estimates(run, name, chosen)
+    if not found:
         return None
-    drawn = aligned_sequence(run, name, results)
+    drawn = aligned_sequence(name, found, run.truth(name))
     return figures.trajectory_figure(drawn.paths, drawn.axes, None, drawn.unit) if drawn.paths else None
 
 
 def _depth(run: Run) -> Figure | None:
-    rows = pictures.depth_rows(depth_sections.first_and_last_samples(run), MOST_FRAMES)
+    rows = pictures.depth_rows(first_and_last_samples(run), MOST_FRAMES)
     return depth_figure(rows) if rows else None
 
 

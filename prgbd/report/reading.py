@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import io
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from prgbd.core.errors import DataError
@@ -60,7 +61,7 @@ class Run:
     @property
     def entries(self) -> list[dict[str, Any]]:
         """The baselines and the loops, in the order of the tables."""
-        return [*(self.summary.get("baselines") or []), *self.loops]
+        return entries(self.summary)
 
     @property
     def sequences(self) -> list[str]:
@@ -127,6 +128,13 @@ def open_run(path: Path | str) -> Run:
     return Run(path, summary)
 
 
+def first_and_last_samples(run: Run) -> list[tuple[str, DepthSamples]]:
+    """Return name and depth samples of the first and of the kept loop, as far as they are there."""
+    found = [(run.label(loop), run.samples(loop)) for loop in run.kept_loops]
+    known = [(label, samples) for label, samples in found if samples is not None and len(samples.keys)]
+    return known if len(known) < 2 else [known[0], known[-1]]
+
+
 def read_samples(path: Path) -> DepthSamples:
     """Read ``samples.npz``.
 
@@ -155,16 +163,19 @@ def read_losses(path: Path) -> dict[str, NDArray[np.float64]]:
     Raises:
         DataError: If a cell is not a number.
     """
-    with open(path, encoding="utf-8", newline="") as file:
-        rows = list(csv.reader(file))
-    if not rows:
+    whole, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    if not whole:
         return {}
-    header, body = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])]
     try:
-        table = np.array([[float(cell) if cell else np.nan for cell in row] for row in body], np.float64)
+        columns = pd.read_csv(io.StringIO(whole), dtype=np.float64)
     except ValueError as error:
         raise DataError(f"{path} has a cell that is not a number ({error}).") from error
-    return dict(zip(header, table.reshape(-1, len(header)).T, strict=True))
+    return {str(name): values.to_numpy() for name, values in columns.items()}
+
+
+def entries(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the baselines and the loops of a run, in the order of the tables."""
+    return [*(summary.get("baselines") or []), *(summary.get("loops") or [])]
 
 
 def kept_loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
@@ -185,18 +196,20 @@ def judged_sequences(summary: dict[str, Any]) -> list[str] | None:
 
 def mean_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = None) -> float | None:
     """Return the mean of a pose figure over the sequences that have it (or over ``sequences``), None without any."""
-    pose = loop.get("pose") or {}
-    names = pose if sequences is None else sequences
-    values = [pose[n][key] for n in names if n in pose and isinstance(pose[n].get(key), int | float)]
+    values = _pose_values(loop, key, sequences)
     return float(np.mean(values)) if values else None
 
 
 def sum_pose(loop: dict[str, Any], key: str, sequences: Iterable[str] | None = None) -> int | None:
     """Return the sum of a pose count over the sequences, None if none has it."""
+    values = _pose_values(loop, key, sequences)
+    return int(sum(values)) if values else None
+
+
+def _pose_values(loop: dict[str, Any], key: str, sequences: Iterable[str] | None) -> list[float]:
     pose = loop.get("pose") or {}
     names = pose if sequences is None else sequences
-    values = [pose[n][key] for n in names if n in pose and isinstance(pose[n].get(key), int | float)]
-    return int(sum(values)) if values else None
+    return [pose[n][key] for n in names if n in pose and isinstance(pose[n].get(key), int | float)]
 
 
 def compared_sequences(

@@ -2,47 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from prgbd.io.files import atomic_path
+from prgbd.report import depth_metrics
 from prgbd.report.paper import published_depth, published_pose
-from prgbd.report.reading import loop_name, mean_pose, sum_pose
-from prgbd.report.rendering import Cell, Column, Table, to_csv, to_html, to_latex, to_markdown, to_rich
+from prgbd.report.reading import entries, loop_name, mean_pose, sum_pose
+from prgbd.report.rendering import to_rich
+from prgbd.report.table import Cell, Table, choose_columns
 from prgbd.report.words import ALIGNMENT_WORDS, depth_basis, describe, number
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = [
-    "Cell",
-    "Column",
-    "Table",
-    "depth_table",
-    "loops_table",
-    "metrics_rows",
-    "pose_table",
-    "print_summary",
-    "to_csv",
-    "to_html",
-    "to_latex",
-    "to_markdown",
-    "to_rich",
-    "write_metrics_csv",
-]
-
-DEPTH_TITLES = {
-    "abs_rel": "Abs Rel",
-    "sq_rel": "Sq Rel",
-    "rmse": "RMSE",
-    "rmse_log": "RMSE log",
-    "a1": "δ<1.25",
-    "a2": "δ<1.25²",
-    "a3": "δ<1.25³",
-}
 EIGEN_IMAGES = 697  # test images of the Eigen split
-HIGHER_IS_BETTER = {"a1", "a2", "a3"}
+_LOWEST = ("ATE RMSE (m)", "ATE, test (m)", "RPE (m)", "RPE, test (m)", "Abs Rel", "RMSE (m)")
+_POSE_ERRORS = {
+    "ate_rmse": "ATE RMSE (m)",
+    "ate_median": "median (m)",
+    "ate_max": "max (m)",
+    "rpe_translation": "RPE (m)",
+    "rpe_rotation_deg": "RPE (°)",
+    "kitti_translation_percent": "Rel Tr (%)",
+    "kitti_rotation_deg_per_m": "Rel Rot (°/m)",
+}
+_POSE_COUNTS = ("scale", "pairs", "keyframes", "points", "fps")
 
 
 def loops_table(summary: dict[str, Any]) -> Table:
@@ -51,51 +39,32 @@ def loops_table(summary: dict[str, Any]) -> Table:
     Figures are means over sequences; those of training and of test sequences stand apart where a run has both.
     """
     test = [str(name) for name in summary.get("test_sequences") or []]
-    low = [
-        ("ATE RMSE (m)", "min"),
-        ("ATE, test (m)", "min"),
-        ("RPE (m)", "min"),
-        ("RPE, test (m)", "min"),
-        ("Abs Rel", "min"),
-        ("RMSE (m)", "min"),
-        ("δ<1.25", "max"),
-    ]
-    titles = [
-        ("loop", ""),
-        ("tracked", ""),
-        *low,
-        ("fps", ""),
-        ("baseline", ""),
-        ("samples", ""),
-        ("held-out loss", ""),
-    ]
-    table = Table("Loops", [Column(t, b) for t, b in titles])
-    loops = [*(summary.get("baselines") or []), *(summary.get("loops") or [])]
-    for loop in loops:
-        depth, training = loop.get("depth") or {}, loop.get("training") or {}
-        learnt = [name for name in loop.get("pose") or {} if name not in test]
-        frames = sum_pose(loop, "frames")
-        baselines = [float(v) for v in (loop.get("baseline") or {}).values() if v]  # monocular SLAM has none
-        before, after = training.get("held_out_before"), training.get("held_out_after")
-        table.rows.append(
-            [
-                f"{loop.get('loop', '')} {loop_name(loop)}".strip(),
-                f"{sum_pose(loop, 'tracked_frames') or 0}/{frames}" if frames else None,
-                mean_pose(loop, "ate_rmse", learnt),
-                mean_pose(loop, "ate_rmse", test),
-                mean_pose(loop, "rpe_translation", learnt),
-                mean_pose(loop, "rpe_translation", test),
-                depth.get("abs_rel"),
-                depth.get("rmse"),
-                depth.get("a1"),
-                mean_pose(loop, "fps"),
-                sum(baselines) / len(baselines) if baselines else None,
-                training.get("samples"),
-                f"{number(before)} → {number(after)}" if before is not None and after is not None else None,
-            ]
-        )
-    table.note = _loops_note(loops, test)
-    return table.without_empty_columns()
+    loops = entries(summary)
+    best = dict.fromkeys(_LOWEST, "min") | {"δ<1.25": "max"}
+    return Table.of("Loops", [_loop_row(loop, test) for loop in loops], best=best, note=_loops_note(loops, test))
+
+
+def _loop_row(loop: dict[str, Any], test: list[str]) -> dict[str, Cell]:
+    depth, training = loop.get("depth") or {}, loop.get("training") or {}
+    learnt = [name for name in loop.get("pose") or {} if name not in test]
+    frames = sum_pose(loop, "frames")
+    baselines = [float(v) for v in (loop.get("baseline") or {}).values() if v]  # monocular SLAM has none
+    before, after = training.get("held_out_before"), training.get("held_out_after")
+    return {
+        "loop": f"{loop.get('loop', '')} {loop_name(loop)}".strip(),
+        "tracked": f"{sum_pose(loop, 'tracked_frames') or 0}/{frames}" if frames else None,
+        "ATE RMSE (m)": mean_pose(loop, "ate_rmse", learnt),
+        "ATE, test (m)": mean_pose(loop, "ate_rmse", test),
+        "RPE (m)": mean_pose(loop, "rpe_translation", learnt),
+        "RPE, test (m)": mean_pose(loop, "rpe_translation", test),
+        "Abs Rel": depth.get("abs_rel"),
+        "RMSE (m)": depth.get("rmse"),
+        "δ<1.25": depth.get("a1"),
+        "fps": mean_pose(loop, "fps"),
+        "baseline": sum(baselines) / len(baselines) if baselines else None,
+        "samples": training.get("samples"),
+        "held-out loss": f"{number(before)} → {number(after)}" if None not in (before, after) else None,
+    }
 
 
 def _loops_note(loops: list[dict[str, Any]], test: list[str]) -> str:
@@ -119,79 +88,75 @@ def _loops_note(loops: list[dict[str, Any]], test: list[str]) -> str:
 
 def pose_table(summary: dict[str, Any]) -> Table:
     """Return every pose figure by sequence and loop, with the paper's where it has the sequence."""
-    figures = [
-        ("ate_rmse", "ATE RMSE (m)"),
-        ("ate_median", "median (m)"),
-        ("ate_max", "max (m)"),
-        ("rpe_translation", "RPE (m)"),
-        ("rpe_rotation_deg", "RPE (°)"),
-        ("kitti_translation_percent", "Rel Tr (%)"),
-        ("kitti_rotation_deg_per_m", "Rel Rot (°/m)"),
-    ]
-    counts = [("scale", "scale"), ("pairs", "pairs"), ("keyframes", "keyframes"), ("points", "points"), ("fps", "fps")]
-    columns = [Column("sequence, loop"), Column("tracked"), *(Column(t, "min") for _, t in figures)]
-    table = Table("Pose by sequence", [*columns, *(Column(t) for _, t in counts)])
-    loops = [*(summary.get("baselines") or []), *(summary.get("loops") or [])]
+    loops = entries(summary)
     names = list(dict.fromkeys(n for loop in loops for n in (loop.get("pose") or {})))
+    rows: list[dict[str, Cell]] = []
+    contenders = 0
     for name in names:
-        ours = len(table.rows)
-        for loop in loops:
-            pose = (loop.get("pose") or {}).get(name)
-            if pose is not None:
-                tracked = f"{pose.get('tracked_frames', 0)}/{pose.get('frames', 0)}"
-                cells = [_plain(pose.get(key)) for key, _ in figures + counts]
-                table.rows.append([f"{name}, {loop_name(loop)}", tracked, *cells])
+        rows += [_pose_row(name, loop) for loop in loops if (loop.get("pose") or {}).get(name) is not None]
         # Different sequences do not compete with each other, so only a single one gets its best figures emphasised.
-        table.contenders = len(table.rows) - ours if len(names) == 1 else 0
+        contenders = len(rows) if len(names) == 1 else 0
         for system, (ate, translation, rotation) in published_pose(summary.get("data"), name).items():
-            tail: list[Cell] = [None, None, None, None, translation, rotation, *[None] * len(counts)]
-            table.rows.append([f"{name}, {system} (paper)", "failed" if ate is None else None, ate, *tail])
-    table.note = "ATE: absolute trajectory error after alignment. RPE: error from one frame to the next."
-    shown = table.without_empty_columns()
-    if any(column.title.startswith("Rel Tr") for column in shown.columns):
-        shown.note += " Rel Tr and Rel Rot: KITTI odometry benchmark over 100–800 m."
-    return shown
+            paper = {"ATE RMSE (m)": ate, "Rel Tr (%)": translation, "Rel Rot (°/m)": rotation}
+            tracked = "failed" if ate is None else None
+            rows.append({"sequence, loop": f"{name}, {system} (paper)", "tracked": tracked, **paper})
+    note = "ATE: absolute trajectory error after alignment. RPE: error from one frame to the next."
+    if any(row.get("Rel Tr (%)") is not None for row in rows):
+        note += " Rel Tr and Rel Rot: KITTI odometry benchmark over 100–800 m."
+    best = dict.fromkeys(_POSE_ERRORS.values(), "min")
+    return Table.of("Pose by sequence", rows, best=best, note=note, contenders=contenders)
+
+
+def _pose_row(name: str, loop: dict[str, Any]) -> dict[str, Cell]:
+    pose = loop["pose"][name]
+    return {
+        "sequence, loop": f"{name}, {loop_name(loop)}",
+        "tracked": f"{pose.get('tracked_frames', 0)}/{pose.get('frames', 0)}",
+        **{title: pose.get(key) for key, title in _POSE_ERRORS.items()},
+        **{key: pose.get(key) for key in _POSE_COUNTS},
+    }
 
 
 def depth_table(summary: dict[str, Any]) -> Table:
     """Return the seven depth metrics by loop, with the paper's where they exist for the data."""
-    keys = list(DEPTH_TITLES)
-    columns = [Column(DEPTH_TITLES[k], "max" if k in HIGHER_IS_BETTER else "min") for k in keys]
-    extra = [Column("images"), Column("scale"), Column("scale spread")]
-    table = Table("Depth", [Column("loop"), *columns, *extra])
-    for loop in summary.get("loops") or []:
-        depth = loop.get("depth") or {}
-        if depth.get("images"):
-            tail = [_plain(depth.get(k)) for k in ("images", "scale_median", "scale_std")]
-            table.rows.append([loop_name(loop), *[_plain(depth.get(k)) for k in keys], *tail])
-            table.note = f"Means over images: {depth_basis(depth).removeprefix('Abs Rel, ')}."
-    table.contenders = len(table.rows)
-    published = published_depth(summary) if table.rows else None
+    loops = summary.get("loops") or []
+    measured = [(loop, loop["depth"]) for loop in loops if (loop.get("depth") or {}).get("images")]
+    rows: list[dict[str, Cell]] = [
+        {
+            "loop": loop_name(loop),
+            **{title: depth.get(key) for key, title in depth_metrics.TITLES.items()},
+            "images": depth["images"],
+            "scale": depth.get("scale_median"),
+            "scale spread": depth.get("scale_std"),
+        }
+        for loop, depth in measured
+    ]
+    note = f"Means over images: {depth_basis(measured[-1][1]).removeprefix('Abs Rel, ')}." if measured else ""
+    published = published_depth(summary) if measured else None
     if published:
-        table.rows += [[f"{n} (paper)", *values, None, None, None] for n, values in published[1].items()]
-        same = all((loop.get("depth") or {}).get("images") in (None, EIGEN_IMAGES) for loop in summary["loops"])
-        alike = same and summary.get("data") == "kitti_raw"
+        titles = depth_metrics.TITLES.values()
+        rows += [{"loop": f"{n} (paper)", **dict(zip(titles, v, strict=True))} for n, v in published[1].items()]
+        alike = summary.get("data") == "kitti_raw" and all(depth["images"] == EIGEN_IMAGES for _, depth in measured)
         other = "as many as here" if alike else "another set of images, so compare the trend"
-        table.note += f" Paper: {published[0]}, 80 m cap; {other}."
-    return table.without_empty_columns()
+        note += f" Paper: {published[0]}, 80 m cap; {other}."
+    return Table.of("Depth", rows, best=depth_metrics.BEST, note=note, contenders=len(measured))
 
 
-def _plain(value: Any) -> Cell:
-    return value if isinstance(value, str | int | float) and not isinstance(value, bool) else None
-
-
-def print_summary(summary: dict[str, Any], console: Console) -> None:
-    """Print the tables of a run and its summary in words."""
-    from rich.padding import Padding
-    from rich.text import Text
-
+def run_tables(summary: dict[str, Any]) -> list[Table]:
+    """Return the tables of a run that have anything to show; poses by sequence only where there are several."""
     makers: tuple[Callable[[dict[str, Any]], Table], ...] = (loops_table, depth_table)
     if len({n for loop in summary.get("loops") or [] for n in (loop.get("pose") or {})}) > 1:
         makers = (loops_table, pose_table, depth_table)
-    for make in makers:
-        table = make(summary)
-        if table.rows:
-            console.print(to_rich(table))
+    return [table for table in (make(summary) for make in makers) if not table.frame.empty]
+
+
+def print_summary(summary: dict[str, Any], console: Console, columns: Sequence[str] = ()) -> None:
+    """Print the tables of a run, with all or with the named columns, and its summary in words."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    for table in choose_columns(run_tables(summary), columns):
+        console.print(to_rich(table))
     for sentence in describe(summary):
         console.print(Padding(Text(sentence), (0, 1)))
 
@@ -199,14 +164,14 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
 def metrics_rows(summary: dict[str, Any]) -> list[list[Cell]]:
     """Return every figure of a summary as ``[loop, name, kind, sequence, metric, value]``."""
     rows: list[list[Cell]] = []
-    for loop in [*(summary.get("baselines") or []), *(summary.get("loops") or [])]:
+    for loop in entries(summary):
         head: list[Cell] = [int(loop["loop"]) if "loop" in loop else None, loop_name(loop)]
         for sequence, figures in (loop.get("pose") or {}).items():
             rows += [[*head, "pose", sequence, k, _text(v)] for k, v in figures.items() if v is not None]
         for kind in ("depth", "training"):
             rows += [[*head, kind, "", k, _text(v)] for k, v in (loop.get(kind) or {}).items() if _fits(v)]
         for row in (loop.get("depth") or {}).get("by_cap") or []:
-            rows += [[*head, "depth", "", f"{k}@{row['cap']:g}m", row.get(k)] for k in DEPTH_TITLES]
+            rows += [[*head, "depth", "", f"{k}@{row['cap']:g}m", row.get(k)] for k in depth_metrics.TITLES]
         for kind in ("baseline", "depth_max"):
             rows += [[*head, "sensing", s, kind, v] for s, v in (loop.get(kind) or {}).items() if v is not None]
     return rows
@@ -226,6 +191,8 @@ def _text(value: Any) -> Cell:
 
 def write_metrics_csv(summary: dict[str, Any], path: Path | str) -> None:
     """Write every figure of a summary as a long table: ``loop,name,kind,sequence,metric,value``."""
-    columns = [Column(c) for c in ("loop", "name", "kind", "sequence", "metric", "value")]
+    columns = ["loop", "name", "kind", "sequence", "metric", "value"]
     with atomic_path(path) as temporary:
-        temporary.write_text(to_csv(Table("metrics", columns, metrics_rows(summary))), encoding="utf-8")
+        pd.DataFrame(metrics_rows(summary), columns=columns, dtype=object).to_csv(
+            temporary, index=False, lineterminator="\n"
+        )

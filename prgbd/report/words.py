@@ -256,8 +256,9 @@ def _better_loop(loops: list[dict[str, Any]], judged: list[str] | None) -> list[
 
 
 def _missing_pose(loops: list[dict[str, Any]]) -> list[str]:
+    """Say why there is no pose error; of the loops with the same reason the last, which the run keeps, is named."""
     reasons: dict[str, str] = {}
-    for loop in loops:
+    for loop in reversed(loops):
         for name, figures in (loop.get("pose") or {}).items():
             if figures.get("ate_rmse") is None and figures.get("reason"):
                 reasons.setdefault(figures["reason"], f"{loop_name(loop)}, {name}")

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 import prgbd
-from prgbd.report.tables import Table, depth_table, pose_table
+from prgbd.report.table import Table
+from prgbd.report.tables import depth_table, pose_table
 from tests.cli import layouts
 
 QUICK = ("training.batch_size=4", "export=[tum]", "slam.features=300")
@@ -56,7 +57,7 @@ def test_layouts_are_read_back_as_they_were_rendered(tmp_path, street, kitti_raw
 
 
 def first_column(table: Table) -> list[str]:
-    return [str(row[0]) for row in table.rows]
+    return [str(name) for name in table.frame.iloc[:, 0]]
 
 
 @pytest.mark.usefixtures("real_report")
@@ -107,8 +108,9 @@ def test_kitti_eigen_is_refined_on_drives_and_evaluated_on_test_images(cli, kitt
     assert (depth["images"], depth["crop"], depth["cap"]) == (2, "garg", [0.001, 80.0])
     assert [row["cap"] for row in depth["by_cap"]] == [30, 40, 50, 60, 70, 80]
     assert depth["by_cap"] == summary["loops"][1]["depth"]["by_cap"]  # the network that the loop kept
-    rows = {str(row[0]): row for row in depth_table(summary_of("run")).rows}
-    assert rows["pRGBD-Refined (paper)"][1:3] == [0.113, 0.793]
+    rows = {row["loop"]: row for row in depth_table(summary_of("run")).rows}
+    paper = rows["pRGBD-Refined (paper)"]
+    assert (paper["Abs Rel"], paper["Sq Rel"]) == (0.113, 0.793)
     assert "MonoDepth2-M (paper)" in answer.out
 
 

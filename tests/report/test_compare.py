@@ -40,7 +40,7 @@ def test_the_page_shows_both_runs_over_one_truth(pair, tmp_path, capsys):
 
 def test_only_settings_that_differ_are_listed(pair):
     table = settings_table(pair, ["a", "b"])
-    assert table.rows == [["loss.name", "plain", "weighted"]]
+    assert table.rows == [{"option": "loss.name", "a": "plain", "b": "weighted"}]
 
 
 def test_a_folder_of_runs_is_compared_as_its_runs(pair, tmp_path):
@@ -56,3 +56,19 @@ def test_fewer_than_two_runs_are_refused_in_one_sentence(pair, tmp_path, capsys,
     assert "needs two finished runs" in message
     assert "Traceback" not in message
     assert not (tmp_path / "out").exists()
+
+
+def test_the_files_have_the_chosen_columns_and_seeds_are_joined(tmp_path, capsys):
+    runs = [make_run(tmp_path / str(seed), depth_errors=(0.35, 0.2 + 0.1 * seed)) for seed in range(2)]
+    for seed, run in enumerate(runs):
+        override(run, f"seed={seed}")
+    arguments = [*map(str, runs), "--compare", "--out", str(tmp_path / "out"), "--columns", "abs_rel,rmse"]
+    assert main(arguments) == 0
+    text = (tmp_path / "out" / "comparison.md").read_text()
+    assert "| run | Abs Rel | RMSE |" in text
+    assert "Runs, joined over seeds" in text
+    assert re.search(r"\| all runs \| 0\.\d+ ± 0\.\d+ \|", text)
+    assert "± 0." in (tmp_path / "out" / "comparison.html").read_text()
+    capsys.readouterr()
+    assert main([*arguments[:-1], "speed"]) == 2
+    assert "There is no column 'speed'" in capsys.readouterr().err

@@ -1,5 +1,4 @@
 import base64
-import json
 import re
 import xml.etree.ElementTree as ET
 
@@ -8,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prgbd.report import drawing, figures
-from prgbd.report.drawing import INK
+from prgbd.report.drawing import INK, Drawing
 from prgbd.report.figures import Path3D, Timeline
-from prgbd.report.interactive import Cloud, view_html
+from prgbd.report.interactive import Cloud, view
 from prgbd.report.pictures import UNKNOWN, depth_picture, depth_rows, error_picture, relative_error, thicken, to_jpeg
 from prgbd.report.reading import DepthSamples
 from tests.report.fake_run import true_poses
@@ -62,16 +61,16 @@ def test_every_figure_renders_and_twice_the_same():
         lambda: figures.metric_figure("m", {"a": [1.0, None, 0.5], "b": [None, None, None]}),
     ]  # fmt: skip
     for make in made:
-        svg = drawing.to_svg(make())
-        assert svg == drawing.to_svg(make())
+        svg = drawing.to_bytes(make(), "svg")
+        assert svg == drawing.to_bytes(make(), "svg")
         ET.fromstring(svg)
-    assert drawing.to_png(made[0]())[:4] == b"\x89PNG"
+    assert drawing.to_bytes(made[0](), "png")[:4] == b"\x89PNG"
     assert figures.loss_terms([("a", losses)]) == ["total"]
 
 
 def test_inline_svg_follows_the_theme_and_keeps_its_references_apart():
-    make = lambda: figures.metric_figure("m<", {"a": [1.0, 2.0]})  # noqa: E731
-    text = drawing.inline_svg(drawing.to_svg(make()), 'a "label"', "k-")
+    text = Drawing('a "label"', figures.metric_figure("m<", {"a": [1.0, 2.0]})).svg
+    other = Drawing("b", figures.metric_figure("m<", {"a": [1.0, 2.0]})).svg
     root = ET.fromstring(text)
     assert root.attrib["aria-label"] == 'a "label"'
     assert "width" not in root.attrib
@@ -80,9 +79,8 @@ def test_inline_svg_follows_the_theme_and_keeps_its_references_apart():
     assert drawing.INK not in text
     assert "var(--grid)" in text
     ids = {e.attrib["id"] for e in root.iter() if "id" in e.attrib}
-    assert all(i.startswith("k-") for i in ids)
-    import re
-
+    assert ids
+    assert not any(f'id="{i}"' in other for i in ids)
     references = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     assert references
     assert references <= ids
@@ -111,6 +109,18 @@ def test_depth_rows_share_one_scale_and_scale_predictions_to_the_truth():
     np.testing.assert_array_equal(row.predictions[1].picture, row.truth)
     assert (row.predictions[0].picture[1:] == row.truth[1:]).all()
     assert (row.predictions[0].picture[0] != row.truth[0]).any()
+
+
+def test_colours_and_scale_follow_the_refined_network():
+    before, after = samples(2, 10), samples(5, 10)
+    before.depth[:, :4] = 200
+    after.depth[:, :4] = 4
+    (row, _) = depth_rows([("before", before), ("after", after)])
+    assert (row.near, row.far) == (pytest.approx(8, rel=0.15), pytest.approx(10, rel=0.15))
+    alone, _ = depth_rows([("after", after)])
+    np.testing.assert_array_equal(alone.predictions[0].picture, row.predictions[1].picture)
+    without = [("before", samples(2)), ("after", samples(5))]
+    assert depth_rows(without)[0].near == pytest.approx(5)  # in the units of the refined network
 
 
 def test_depth_rows_without_truth_or_common_frames():
@@ -157,7 +167,26 @@ def test_jpeg_is_rgb_and_no_wider_than_asked():
 def test_a_camera_that_turns_on_the_spot_keeps_its_map(reach, kept):
     path = Path3D("loop", np.arange(2), reach * np.array([[0.0, 0, 0], [1, 0, 0]]), INK)
     points = np.array([[1.0, 0, 1], [0, 0, 1.2], [-1, 0, 1.1], [0.5, 0, 1], [0, 0, 900], [np.nan, 0, 0]])
-    html = view_html([path], [Cloud("loop", points, np.zeros((6, 3), np.uint8))], (0, 2), "m", "map")
-    scene = json.loads(re.search(r"<script[^>]*>(.*)</script>", html)[1])
+    cloud = Cloud("loop", points, np.zeros((6, 3), np.uint8))
+    scene = view([path], [cloud], (0, 2), "m", Drawing("map", None)).scene
     found = [np.frombuffer(base64.b64decode(cloud["xyz"]), "<i2") for cloud in scene["clouds"]]
     assert sum(len(numbers) for numbers in found) == 3 * kept
+
+
+def test_the_view_from_above_fits_the_map():
+    rng = np.random.default_rng(0)
+    line = np.stack([np.zeros(50), np.zeros(50), np.linspace(0, 10, 50)], axis=1)
+    points = rng.uniform((-30, -2, -5), (10, 2, 15), (5000, 3))
+    points[:20] = 400  # strays do not shrink the rest to a speck
+    path = Path3D("loop", np.arange(50), line, "#e0783a")
+    cloud = Cloud("loop", points, np.zeros((5000, 3), np.uint8))
+    (ax,) = figures.trajectory_figure([path], (0, 2), points).axes
+    scene = view([path], [cloud], (0, 2), "m", Drawing("map", None)).scene
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    assert left < -28
+    assert 9 < right < 60
+    assert bottom < -4
+    assert 14 < top < 60
+    assert 38 < scene["size"][0] < 60
+    middle = np.array(next(point for point in scene["paths"][0]["xyz"]))
+    assert middle[0] == pytest.approx(10, abs=1)  # the box reaches from -30 to 10, and the path runs along 0

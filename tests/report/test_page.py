@@ -69,7 +69,7 @@ def test_the_page_has_every_section_in_order(html):
     ]  # fmt: skip
     assert "Over 2 loops the pose error fell from" in page.text
     assert "147/150" in page.text
-    assert page.counts["svg"] == 4 + 3 + 8 + 5  # metrics, sequence, depth by range, loss terms
+    assert page.counts["svg"] == 8 + 3 + 17 + 5  # figures by loop, sequence, depth by range, loss terms
     assert page.counts["canvas"] == 1
     assert page.counts["img"] >= 3 * 6
     assert "depth_transfer: 1.0" in page.text
@@ -164,9 +164,13 @@ def test_names_from_the_data_cannot_inject(tmp_path):
     summary["loops"][0]["pose"]["<img src=x>"] = pose
     summary["loops"][0]["name"] = '"><script>x</script></style><b>'
     write_json(run / "summary.json", summary)
+    (run / "config.yaml").write_text("<script>x</script>")
+    (run / "<b onclick=x>").write_text("a file")
     page = Page(write_report(run).read_text())
     assert page.counts["script"] == 1 + page.counts.get("canvas", 0)
     assert "x" not in page.links
+    assert "b" in page.counts  # the page's own; none of the data's has an attribute
+    assert "<b onclick" not in (run / "report.html").read_text()
 
 
 def test_a_lost_run_is_reported(tmp_path):
@@ -191,6 +195,16 @@ def test_large_pictures_are_made_smaller_until_the_page_is_small(tmp_path, monke
         )
     monkeypatch.setattr("prgbd.report.page.LARGEST", 700_000)
     assert write_report(run).stat().st_size < 700_000
+
+
+def test_chosen_columns_are_written_as_tables(run_folder, tmp_path, capsys):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    assert main([str(run), "--columns", "abs_rel,rmse"]) == 0
+    assert "tables.tex" in capsys.readouterr().out
+    assert "| loop | Abs Rel | RMSE (m) |" in (run / "tables.md").read_text()
+    assert r"\begin{tabular}{lrr}" in (run / "tables.tex").read_text()
+    assert main([str(run), "--columns", "speed"]) == 2
+    assert "There is no column 'speed'" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
@@ -231,7 +245,7 @@ def test_baselines_and_test_sequences_stand_apart(tmp_path):
     summary["baselines"] = [{"name": "RGB SLAM", "folder": "baselines/mono", "pose": {"street-b": first["street-b"]}}]
     write_json(run / "summary.json", summary)
     table = loops_table(summary)
-    rows = [dict(zip([c.title for c in table.columns], row, strict=True)) for row in table.rows]
+    rows = table.rows
     assert [row["loop"] for row in rows] == ["RGB SLAM", "0 pRGBD-Initial", "1 pRGBD-Refined"]
     assert rows[0]["ATE RMSE (m)"] is None
     assert rows[0]["ATE, test (m)"] == rows[1]["ATE, test (m)"] == first["street-b"]["ate_rmse"]

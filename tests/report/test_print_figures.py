@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import ConfigError, DataError
+from prgbd.evaluation.depth import METRICS
 from prgbd.io.files import read_json, write_json
 from prgbd.report.__main__ import main
+from prgbd.report.curves import loop_panels, range_curves
 from prgbd.report.print_figures import all_figures, write_figures
-from prgbd.report.range_figures import range_curves
 from prgbd.report.reading import open_run
 from tests.report.fake_run import make_run
 
@@ -36,6 +37,14 @@ def test_the_trajectory_figure_has_truth_baselines_and_first_and_kept_loop(run_w
     assert len(ax.lines) == 2  # caps of 30 and 80 m
     expected = [loop["depth"]["by_cap"][0]["sq_rel"] for loop in open_run(run_with_baseline).loops]
     np.testing.assert_allclose(ax.lines[0].get_ydata(), expected)
+
+
+def test_every_depth_metric_has_its_curves(run_with_baseline):
+    run = open_run(run_with_baseline)
+    names = {drawing.name for drawing in range_curves(run)}
+    assert {f"{metric}-by-{over}" for metric in METRICS for over in ("cap", "loop")} <= names
+    assert {f"{metric}-by-distance" for metric in ("abs_rel", "sq_rel", "rmse")} <= names
+    assert len(loop_panels(run)) == 1 + len(METRICS)
 
 
 def test_files_are_written_beside_the_report(run_with_baseline, capsys):

@@ -84,6 +84,14 @@ def test_without_truth_the_reason_is_given(summary):
     assert "fell" not in text
 
 
+def test_the_loop_that_is_kept_is_named_where_none_has_a_pose_error(summary):
+    for loop in summary["loops"]:
+        loop["pose"]["street-a"] |= {"ate_rmse": None, "reason": "There is no ground truth."}
+    summary["stop"]["best_loop"] = 1
+    summary["loops"][1]["name"] = "the kept one"
+    assert "No pose error (the kept one, street-a): There is no ground truth." in describe(summary)
+
+
 def test_depth_of_one_loop_alone_is_no_change(summary):
     summary["loops"][0]["depth"] = summary["loops"][1]["depth"] = None
     assert "depth" not in " ".join(describe(summary))

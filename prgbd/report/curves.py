@@ -1,41 +1,43 @@
-"""Figures of depth errors by cap, by distance, and by loop with one line per cap."""
+"""The curves of a run: every figure over the loops, and depth errors by cap, by distance, and by loop and cap."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 
-from prgbd.report.drawing import STYLE, loop_colours, new_figure
+from prgbd.report.depth_metrics import WITH_UNITS
+from prgbd.report.drawing import STYLE, Drawing, loop_colours, new_figure
 from prgbd.report.figures import metric_figure
-from prgbd.report.reading import Run
+from prgbd.report.reading import Run, mean_pose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-TITLES = {"abs_rel": "Abs Rel", "sq_rel": "Sq Rel (m)", "rmse": "RMSE (m)", "a1": "δ<1.25"}
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A figure of depth errors.
-
-    Attributes:
-        name: For a file, such as ``abs_rel-by-cap``.
-        label: In words.
-        figure: The figure.
-    """
-
-    name: str
-    label: str
-    figure: Figure
+MOST_LINES = 8  # sequences in one panel
+_Found = list[tuple[str, str, dict[str, Any]]]  # label, colour and depth figures of a loop
 
 
-def range_curves(run: Run) -> list[Curve]:
+def loop_panels(run: Run) -> list[Drawing]:
+    """Return the pose error and each depth metric over the loops, as far as a run of several loops has them."""
+    if len(run.loops) < 2:
+        return []
+    names = run.sequences[:MOST_LINES]
+    pose = {name: [mean_pose(loop, "ate_rmse", [name]) for loop in run.loops] for name in names}
+    panels = {"ATE RMSE (m)": {name: values for name, values in pose.items() if _any(values)}}
+    for key, title in WITH_UNITS.items():
+        values = [(loop.get("depth") or {}).get(key) for loop in run.loops]
+        panels[f"depth {title}" if title.startswith("RMSE") else title] = {key: values} if _any(values) else {}
+    return [Drawing(f"{title} by loop", metric_figure(title, lines)) for title, lines in panels.items() if lines]
+
+
+def _any(values: Sequence[float | None]) -> bool:
+    return any(value is not None for value in values)
+
+
+def range_curves(run: Run) -> list[Drawing]:
     """Return the curves that a run has figures for: by cap and distance for its first and last network, and by loop."""
     known = [(run.label(loop), loop["depth"]) for loop in run.loops if (loop.get("depth") or {}).get("images")]
     chosen = known if len(known) < 2 else [known[0], known[-1]]
@@ -45,7 +47,7 @@ def range_curves(run: Run) -> list[Curve]:
 
 def _differ(rows: list[dict[str, Any]] | None) -> bool:
     """Whether the caps tell anything: in a room all truth is nearer than the smallest, and all figures are one."""
-    return len({tuple(row.get(metric) for metric in TITLES) for row in rows or []}) > 1
+    return len({tuple(row.get(metric) for metric in WITH_UNITS) for row in rows or []}) > 1
 
 
 def _filled(depth: dict[str, Any]) -> int:
@@ -53,38 +55,39 @@ def _filled(depth: dict[str, Any]) -> int:
     return max((i + 1 for i, row in enumerate(depth.get("by_depth") or []) if row.get("pixels")), default=0)
 
 
-def _by_cap(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
+def _by_cap(found: _Found) -> Iterator[Drawing]:
     found = [entry for entry in found if _differ(entry[2].get("by_cap"))]
-    for metric in ("abs_rel", "rmse", "a1") if found else ():
+    for metric, title in WITH_UNITS.items() if found else ():
         curves = [
             (label, colour, [row["cap"] for row in depth["by_cap"]], [row.get(metric) for row in depth["by_cap"]])
             for label, colour, depth in found
         ]
-        title = TITLES[metric]
-        yield Curve(f"{metric}-by-cap", f"{title} by depth cap", cap_figure(f"{title} by cap", curves))
+        if any(_any(values) for *_, values in curves):
+            figure = cap_figure(f"{title} by cap", curves)
+            yield Drawing(f"{title} by depth cap", figure, name=f"{metric}-by-cap")
 
 
-def _by_distance(found: list[tuple[str, str, dict[str, Any]]]) -> Iterator[Curve]:
+def _by_distance(found: _Found) -> Iterator[Drawing]:
     filled = max((_filled(depth) for *_, depth in found), default=0)
     bins = [(label, colour, depth["by_depth"][:filled]) for label, colour, depth in found if depth.get("by_depth")]
-    for metric in ("abs_rel", "rmse") if bins and filled > 1 else ():
-        title = TITLES[metric]
-        figure = bin_figure(f"{title} by distance", bins, metric)
-        yield Curve(f"{metric}-by-distance", f"{title} by true depth", figure)
+    for metric, title in WITH_UNITS.items() if bins and filled > 1 else ():
+        if any(_any([row.get(metric) for row in rows]) for *_, rows in bins):
+            figure = bin_figure(f"{title} by distance", bins, metric)
+            yield Drawing(f"{title} by true depth", figure, name=f"{metric}-by-distance")
 
 
-def _by_loop(run: Run) -> Iterator[Curve]:
+def _by_loop(run: Run) -> Iterator[Drawing]:
     """Yield the paper's curves: metrics over the loops, one line per cap."""
     found = [(loop.get("depth") or {}).get("by_cap") or [] for loop in run.loops]
     caps = list(dict.fromkeys(row["cap"] for rows in found for row in rows if _differ(rows)))
-    for metric in ("abs_rel", "sq_rel", "rmse") if len(found) > 1 and caps else ():
-        curves = {
+    for metric, title in WITH_UNITS.items() if len(found) > 1 and caps else ():
+        lines = {
             f"{cap:g} m": [next((row.get(metric) for row in rows if row["cap"] == cap), None) for rows in found]
             for cap in caps
         }
-        title = TITLES[metric]
-        label = f"{title} by loop, a line per depth cap"
-        yield Curve(f"{metric}-by-loop", label, metric_figure(f"{title} by loop and cap", curves, ordered=True))
+        if any(map(_any, lines.values())):
+            figure = metric_figure(f"{title} by loop and cap", lines, ordered=True)
+            yield Drawing(f"{title} by loop, a line per depth cap", figure, name=f"{metric}-by-loop")
 
 
 @matplotlib.rc_context(STYLE)
@@ -109,7 +112,7 @@ def bin_figure(title: str, loops: Sequence[tuple[str, str, list[dict[str, Any]]]
     Args:
         title: What it is.
         loops: ``(label, colour, rows)`` with the rows of ``by_depth``.
-        metric: ``abs_rel`` or ``rmse``.
+        metric: Key of an error in the rows.
     """
     figure, ax = new_figure(2.4, width=3.9)
     width = 0.8 / max(len(loops), 1)
