@@ -41,11 +41,25 @@ class _Rate(ProgressColumn):
         return Text(f"{speed:5.1f}/s" if speed else "   -/s", style="dim")
 
 
+class _WorkClock:
+    """A clock in seconds that stands still for what is not the work of a stage."""
+
+    def __init__(self) -> None:
+        self._left_out = 0.0
+
+    def __call__(self) -> float:
+        return time.monotonic() - self._left_out
+
+    def leave_out(self, seconds: float) -> None:
+        self._left_out += seconds
+
+
 class _Bar:
     """A stage on a terminal."""
 
-    def __init__(self, progress: Progress, task: Any) -> None:
+    def __init__(self, progress: Progress, task: Any, clock: _WorkClock) -> None:
         self._progress, self._task = progress, task
+        self.leave_out = clock.leave_out
         self.done = 0
 
     def advance(self, units: int = 1, **fields: Any) -> None:
@@ -58,14 +72,15 @@ class _Bar:
 class _Lines:
     """A stage where there is no terminal: a line now and then."""
 
-    def __init__(self, display: Display, title: str, total: int) -> None:
-        self._display, self._title, self._total = display, title, total
+    def __init__(self, display: Display, title: str, total: int, clock: _WorkClock) -> None:
+        self._display, self._title, self._total, self._clock = display, title, total, clock
+        self.leave_out = clock.leave_out
         self.done = 0
-        self._begin = self._last = time.monotonic()
+        self._begin = self._last = clock()
 
     def advance(self, units: int = 1, **fields: Any) -> None:
         self.done += units
-        now = time.monotonic()
+        now = self._clock()
         if now - self._last > _PLAIN_INTERVAL and self.done < self._total:
             self._last = now
             rate = self.done / (now - self._begin)
@@ -101,7 +116,8 @@ class Display:
     @contextlib.contextmanager
     def stage(self, title: str, total: int) -> Iterator[_Bar | _Lines]:
         """Show the progress of a stage of ``total`` units; see ``Monitor.stage``."""
-        begin = time.monotonic()
+        clock = _WorkClock()
+        begin = clock()
         if self.bars:
             narrow = self.console.width < _NARROW
             columns = (
@@ -112,14 +128,14 @@ class Display:
                 TimeRemainingColumn(compact=True),
                 TextColumn("{task.fields[note]}", style="dim"),
             )
-            with Progress(*columns, console=self.console, transient=True) as progress:
+            with Progress(*columns, console=self.console, transient=True, get_time=clock) as progress:
                 label = escape(_shortened(title, _NARROW_TITLE) if narrow else title)
-                shown: _Bar | _Lines = _Bar(progress, progress.add_task(label, total=total, note=""))
+                shown: _Bar | _Lines = _Bar(progress, progress.add_task(label, total=total, note=""), clock)
                 yield shown
         else:
-            shown = _Lines(self, title, total)
+            shown = _Lines(self, title, total, clock)
             yield shown
-        seconds = time.monotonic() - begin
+        seconds = clock() - begin
         self.say(f"{title}: {shown.done} in {seconds:.1f} s, {shown.done / max(seconds, 1e-6):.1f}/s")
 
 

@@ -13,6 +13,9 @@ class Progress(Protocol):
     def advance(self, units: int = 1, **fields: Any) -> None:
         """Count finished units and show ``fields``, for example ``state="ok", keyframes=12``."""
 
+    def leave_out(self, seconds: float) -> None:
+        """Take the last seconds out of the rate: they went into something else, such as compiling."""
+
 
 class Monitor(Protocol):
     """Somebody who watches a run."""
@@ -26,6 +29,9 @@ class Monitor(Protocol):
 
 class _Silent:
     def advance(self, units: int = 1, **fields: Any) -> None:
+        """Do nothing."""
+
+    def leave_out(self, seconds: float) -> None:
         """Do nothing."""
 
 

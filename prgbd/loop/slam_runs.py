@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from prgbd.evaluation.trajectory import evaluate_trajectory
 from prgbd.loop.monitor import Monitor, Progress, SilentMonitor
 from prgbd.loop.sensing import DepthStatistics
 from prgbd.loop.viewing import SilentViewer, SlamViewer
+from prgbd.loop.work_time import WorkTime
 
 # ORB-SLAM2's settings for the Kinect of TUM RGB-D: bf = 40 at f = 525 px (Examples/RGB-D/TUM1.yaml).
 KINECT_BASELINE = 0.08
@@ -113,17 +113,18 @@ def run_slam(
         save_map: File to keep the map in.
 
     Returns:
-        The system's result; its ``stats`` also hold ``seconds``, ``fps``, ``baseline`` and the depth's diagnostics.
+        The system's result; its ``stats`` also hold ``seconds`` and ``fps``, both without the ``compile_seconds``,
+        ``baseline`` and the depth's diagnostics.
     """
     monitor = monitor or SilentMonitor()
     keyframes = 0
-    seconds = 0.0
     with (
         viewer or SilentViewer() as watching,
         make_slam() as system,
         _Stages(monitor, sequence.name) as stages,
     ):
         progress = stages.enter("SLAM", len(sequence))
+        work = WorkTime(stages.leave_out)
         # A system without a mode of its own for pseudo depth takes it as a sensor's.
         mode = "rgbd" if given.mode == "pseudo_rgbd" and given.mode not in system.modes else given.mode
         system.reset(sequence.camera, mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
@@ -132,25 +133,24 @@ def run_slam(
         if save_map is not None:
             _require_save_map(system, save_map)
         for frame in given.frames:
-            begin = time.perf_counter()
-            tracked = system.track(frame)
-            seconds += time.perf_counter() - begin
+            with work.measured():
+                tracked = system.track(frame)
             keyframes += tracked.is_keyframe
             watching.tracked(frame, tracked, system)
             counts = {"keyframes": keyframes} | {k: tracked.info[k] for k in SHOWN if k in tracked.info}
             progress.advance(state=tracked.state.value, **counts)
         progress.advance(0, state="finishing")
         system.listen(stages.tell)
-        begin = time.perf_counter()
-        result = system.finish()
+        with work.measured():
+            result = system.finish()
         system.listen(None)
-        seconds += time.perf_counter() - begin
         watching.finished(result)
         if save_map is not None:
             system.save_map(save_map)
     noted: dict[str, Any] = {
-        "seconds": seconds,
-        "fps": len(sequence) / max(seconds, 1e-9),
+        "seconds": work.seconds,
+        "compile_seconds": work.compile_seconds,
+        "fps": len(sequence) / max(work.seconds, 1e-9),
         "baseline": given.baseline or result.stats.get("baseline"),
         "seed": seed,
     }
@@ -183,6 +183,11 @@ class _Stages:
         assert self._progress is not None
         self._progress.advance(max(0, done - self._done))
         self._done = max(self._done, done)
+
+    def leave_out(self, seconds: float) -> None:
+        """Say that the last seconds went into something else than the stage that is open."""
+        if self._progress is not None:
+            self._progress.leave_out(seconds)
 
     def close(self, *problem: Any) -> None:
         """Close the stage that is open."""

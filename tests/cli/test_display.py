@@ -61,3 +61,19 @@ def test_a_pipe_gets_a_line_now_and_then(monkeypatch, capsys):
 @pytest.mark.parametrize(("seconds", "clock"), [(7.4, "0:07"), (754, "12:34"), (3723, "1:02:03")])
 def test_times_read_like_a_clock(seconds, clock):
     assert display._clock(seconds) == clock
+
+
+@pytest.mark.parametrize("bars", [True, False])
+def test_what_is_left_out_does_not_slow_the_rate(monkeypatch, capsys, bars):
+    now = [0.0]
+    monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
+    shown, screen = on_a_terminal(monkeypatch, 140)
+    shown.bars = bars
+    with shown.stage("SLAM on street", 3) as progress:
+        now[0] += 60
+        progress.leave_out(59.0)  # the first frame waited for a compiler
+        progress.advance(state="ok")
+        for _ in range(2):
+            now[0] += 1
+            progress.advance(state="ok")
+    assert "SLAM on street: 3 in 3.0 s, 1.0/s" in screen.getvalue()

@@ -1,6 +1,10 @@
+import contextlib
+
+import numba
 import pytest
 
 from prgbd.core.errors import DataError
+from prgbd.loop.monitor import SilentMonitor
 from prgbd.loop.slam_runs import KINECT_BASELINE, describe_pose, pose_figures, run_slam, sensor_input
 from tests.loop.fakes import Sideways, Wall
 
@@ -21,6 +25,33 @@ def test_baseline_of_a_sensor(fixed, own, used):
     sequence = Wall(sensor=True)
     sequence.baseline = own
     assert sensor_input(sequence, "rgbd", fixed).baseline == used
+
+
+def test_compiling_is_no_tracking():
+    """A system that compiles at its first frame: neither rate counts it."""
+
+    class Compiles(Sideways):
+        def track(self, frame):
+            if frame.index == 0:
+                numba.njit(lambda x: x + 1)(1)
+            return super().track(frame)
+
+    left_out = []
+
+    class Watches(SilentMonitor):
+        @contextlib.contextmanager
+        def stage(self, title, total):
+            with super().stage(title, total) as progress:
+                progress.leave_out = left_out.append
+                yield progress
+
+    sequence = Wall()
+    stats = run_slam(Compiles, sequence, sensor_input(sequence, "mono", None), monitor=Watches()).stats
+    assert left_out == [stats["compile_seconds"]]
+    assert left_out[0] > 0.001
+    again = run_slam(Sideways, sequence, sensor_input(sequence, "mono", None), monitor=Watches()).stats
+    assert again["compile_seconds"] == 0
+    assert len(left_out) == 1
 
 
 def test_mono_sees_no_depth():
