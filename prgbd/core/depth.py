@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -122,6 +123,17 @@ class DepthEstimator(nn.Module, ABC):
         folder = Path(folder)
         path = folder / self.weights_file if folder.is_dir() else folder
         load_matching(self, read_state_dict(path), path)
+
+
+def weights_fingerprint(module: nn.Module) -> str:
+    """Return a short hash of all parameters and buffers, by name, shape, type and value."""
+    digest = hashlib.sha256()
+    for name, tensor in module.state_dict().items():
+        digest.update(name.encode())
+        if torch.is_tensor(tensor):
+            digest.update(str((tuple(tensor.shape), tensor.dtype)).encode())
+            digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()[:16]
 
 
 def read_state_dict(path: Path) -> dict[str, Any]:

@@ -23,6 +23,22 @@ FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.integer[Any]]
 
 
+def resize_pixels(uv: Any, scale: Any) -> Any:
+    """Return where pixels lie after their image was resized.
+
+    With integers at pixel centres an image spans [-0.5, width - 0.5], so pixels scale about -0.5. This is the only
+    place in prgbd that knows the rule; ``PinholeCamera.resized`` applies it to cameras.
+
+    Args:
+        uv: Columns, rows or pixels (..., 2); a number, an array or a tensor.
+        scale: New over old size, of what ``uv`` holds.
+
+    Returns:
+        The same kind as ``uv``.
+    """
+    return (uv + 0.5) * scale - 0.5
+
+
 @dataclass(frozen=True)
 class PinholeCamera:
     """A pinhole camera, optionally with OpenCV's radial-tangential distortion.
@@ -64,11 +80,7 @@ class PinholeCamera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> PinholeCamera:
-        """Return the camera of the image resized to ``width`` x ``height`` pixels.
-
-        With integers at pixel centres the image spans [-0.5, width - 0.5], so the principal point
-        scales about -0.5. This is the only place in prgbd that knows the rule.
-        """
+        """Return the camera of the image resized to ``width`` x ``height`` pixels, by the rule of ``resize_pixels``."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -76,8 +88,8 @@ class PinholeCamera:
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
+            cx=resize_pixels(self.cx, sx),
+            cy=resize_pixels(self.cy, sy),
         )
 
     def flipped(self) -> PinholeCamera:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult
-from prgbd.core.types import Frame, PinholeCamera, SlamResult
+from prgbd.core.types import Frame, PinholeCamera, SlamResult, resize_pixels
 
 log = logging.getLogger(__name__)
 
@@ -142,7 +142,7 @@ class RerunViewer:
     def _on_small(self, uv: NDArray[np.float32]) -> NDArray[np.float64]:
         """Pixels of the full image on the smaller one."""
         scale = np.array([self._small.width / self._camera.width, self._small.height / self._camera.height])
-        return (uv + 0.5) * scale - 0.5
+        return np.asarray(resize_pixels(uv, scale))
 
 
 def _narrowed(camera: PinholeCamera, width: int) -> PinholeCamera:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from prgbd.core.data import Sequence
+from prgbd.core.depth import weights_fingerprint
 from prgbd.core.errors import ConfigError
 from prgbd.core.types import SlamResult
 from prgbd.loop.baselines import baseline_result, localise, run_baseline
@@ -12,7 +13,6 @@ from prgbd.loop.criterion import compare, stop_reason
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name, step_name
 from prgbd.loop.refining import refine_in_run
-from prgbd.loop.sensing import weights_fingerprint
 from prgbd.loop.slam_runs import describe_pose
 from prgbd.loop.summary import write_summary, write_truth
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from prgbd.core import wrappers
 from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
-from prgbd.core.depth import DepthEstimator
+from prgbd.core.depth import DepthEstimator, weights_fingerprint
 from prgbd.core.errors import ContractError
 from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame
@@ -253,17 +253,6 @@ class DepthSensor:
         else:
             stored["depth_max"] = float(max(stored["maximum"]))
         return DepthStatistics(**stored)
-
-
-def weights_fingerprint(estimator: DepthEstimator) -> str:
-    """Return a short hash of all parameters and buffers."""
-    digest = hashlib.sha256()
-    for name, tensor in estimator.state_dict().items():
-        digest.update(name.encode())
-        if torch.is_tensor(tensor):
-            digest.update(str((tuple(tensor.shape), tensor.dtype)).encode())
-            digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
-    return digest.hexdigest()[:16]
 
 
 def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str, computing: Many[str] = ()) -> str:

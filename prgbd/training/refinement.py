@@ -20,7 +20,7 @@ import torch
 from lightning.pytorch.utilities.seed import isolate_rng
 
 from prgbd.core.data import Sequence
-from prgbd.core.depth import DepthEstimator
+from prgbd.core.depth import DepthEstimator, weights_fingerprint
 from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
 from prgbd.functional.sparse_losses import sample_patches
@@ -177,9 +177,7 @@ def _measure_statistics(module: DepthRefinement, data: RefinementData, trainer: 
 
 def _key(estimator: DepthEstimator, settings: RefinementSettings, sources: Many[SupervisedImages]) -> str:
     """Say in one word what a refinement starts from: weights, supervision and the options that decide the result."""
-    digest = hashlib.sha256()
-    for name, value in estimator.state_dict().items():
-        digest.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    digest = hashlib.sha256(weights_fingerprint(estimator).encode())
     for source in sources:
         digest.update(f"{source.name} {source.scale!r} {len(source.supervision.samples)}".encode())
         for sample in source.supervision.samples:

@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader, Dataset
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import DataError
-from prgbd.core.types import PinholeCamera
+from prgbd.core.types import PinholeCamera, resize_pixels
 from prgbd.training.images import decode_frames
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.sampling import EpochSampler, ResumableData
@@ -102,9 +102,9 @@ class SupervisedImages:
 
 
 def resized_pixels(uv: NDArray[np.float32], before: PinholeCamera, after: PinholeCamera) -> NDArray[np.float32]:
-    """Move pixels (..., 2) from one image size of a camera to another, through the rays that they stand for."""
-    focal = np.array([after.fx / before.fx, after.fy / before.fy])
-    return ((uv - [before.cx, before.cy]) * focal + [after.cx, after.cy]).astype(np.float32)
+    """Move pixels (..., 2) from one image size of a camera to another."""
+    scale = np.array([after.width / before.width, after.height / before.height])
+    return np.asarray(resize_pixels(uv, scale), np.float32)
 
 
 def decode_images(

@@ -3,6 +3,7 @@ import pytest
 
 from prgbd import PinholeCamera
 from prgbd.core.errors import ConfigError
+from prgbd.core.types import resize_pixels
 
 
 @pytest.fixture
@@ -51,3 +52,13 @@ def test_an_impossible_field_of_view_is_refused(fov) -> None:
 def test_an_impossible_camera_is_refused(values) -> None:
     with pytest.raises(ConfigError, match="calibration"):
         PinholeCamera(*values)
+
+
+def test_pixels_and_cameras_are_resized_by_one_rule() -> None:
+    uv = np.array([[-0.5, -0.5], [99.5, 59.5], [10.0, 20.0]])
+    camera = PinholeCamera(100, 60, 80.0, 75.0, 10.0, 20.0)
+    small, scale = camera.resized(50, 20), np.array([1 / 2, 1 / 3])
+    expected = [[-0.5, -0.5], [49.5, 19.5], [small.cx, small.cy]]
+    np.testing.assert_allclose(resize_pixels(uv, scale), expected)
+    rays = camera.backproject(uv, np.ones(3))
+    np.testing.assert_allclose(small.project(rays), expected)

@@ -8,7 +8,7 @@ from prgbd import DepthPrediction
 from prgbd.core.computing import Computing
 from prgbd.core.errors import ContractError, DataError
 from prgbd.core.slam import adaptive_baseline
-from prgbd.loop.sensing import DepthSensor, weights_fingerprint
+from prgbd.loop.sensing import DepthSensor
 from tests.loop.fakes import NanDepth, Tiny, Wall, ZeroDepth
 
 
@@ -161,15 +161,6 @@ def test_scale_drift_is_told(tmp_path):
     found = make(Drifting(), tmp_path).prepare().diagnostics()
     assert found["largest_scale_step"] == pytest.approx(1.0)
     assert (found["median_depth_lowest"], found["median_depth_highest"]) == (2.0, 4.0)
-
-
-def test_fingerprint_sees_every_weight():
-    network = Tiny()
-    before = weights_fingerprint(network)
-    assert weights_fingerprint(network) == before
-    with torch.no_grad():
-        network.conv.weight[0, 2, 4, 4] += 1e-7
-    assert weights_fingerprint(network) != before
 
 
 def test_training_mode_is_left_as_it_was(tmp_path):

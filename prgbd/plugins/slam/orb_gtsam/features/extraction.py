@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.types import resize_pixels
 from prgbd.plugins.slam.orb_gtsam.camera.depth_noise import spread_around
 from prgbd.plugins.slam.orb_gtsam.features.feature_kernels import (
     cell_order,
@@ -174,9 +175,7 @@ class OrbExtractor:
         if len(kept) != len(keypoints):
             index = np.array([k.class_id for k in kept], np.int64)
             xy, angle = xy[index], angle[index]
-        # Integers are at pixel centres, so coordinates scale about -0.5.
-        scale = np.array([self.width / width, self.height / height])
-        uv = ((xy + 0.5) * scale - 0.5).astype(np.float32)
+        uv = np.asarray(resize_pixels(xy, np.array([self.width / width, self.height / height])), np.float32)
         descriptor = np.ascontiguousarray(bits).view(np.uint64).reshape(-1, 4)
         return uv, angle, descriptor, np.full(len(uv), octave, np.int32)
 

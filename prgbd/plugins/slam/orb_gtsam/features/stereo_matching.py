@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.types import resize_pixels
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.features.matching import hamming
 from prgbd.plugins.slam.orb_gtsam.kernels import kernel
@@ -64,7 +65,9 @@ def match_stereo(
     for octave, (a, b) in enumerate(zip(left_levels, right_levels, strict=True)):
         rows = np.flatnonzero((partner >= 0) & (left.octave == octave))
         if len(rows):
-            shift[rows], difference[rows] = _refine(a, b, left.uv[rows], right.uv[partner[rows]], *scales[octave])
+            at = _nearest_pixels(left.uv[rows], scales[octave])
+            at_right = _nearest_pixels(right.uv[partner[rows]], scales[octave])
+            shift[rows], difference[rows] = _refine(a, b, at, at_right)
     found = np.isfinite(difference)
     if found.any():
         found &= difference <= _OUTLIER * np.median(difference[found])
@@ -77,6 +80,11 @@ def match_stereo(
     # A column left of the image would read as "none".
     depth[u_right < 0], u_right[u_right < 0] = 0.0, -1.0
     return depth, u_right
+
+
+def _nearest_pixels(uv: NDArray[np.float32], scale: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the nearest pixels (N, 2) of a pyramid level that is smaller by ``scale`` (2,)."""
+    return np.round(resize_pixels(uv.astype(np.float64), 1 / scale)).astype(np.int64)
 
 
 @kernel()
@@ -150,20 +158,19 @@ def _difference(left: np.ndarray, right: np.ndarray, x: int, x_right: int, y: in
 
 @kernel()
 def _refine(
-    left: np.ndarray, right: np.ndarray, uv: np.ndarray, right_uv: np.ndarray, scale_x: float, scale_y: float
+    left: np.ndarray, right: np.ndarray, pixel: np.ndarray, right_pixel: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search around the right keypoints; return disparity in pixels of the level and the difference there.
 
-    The difference is infinite where the best place lies at the end of the search, or has no minimum.
+    Keypoints are whole pixels (N, 2) of the level. The difference is infinite where the best place lies at the end of
+    the search, or has no minimum.
     """
     height, width = left.shape
     reach = _HALF_WINDOW + _HALF_SEARCH
-    shift, difference = np.full(len(uv), np.nan), np.full(len(uv), np.inf)
+    shift, difference = np.full(len(pixel), np.nan), np.full(len(pixel), np.inf)
     at = np.empty(2 * _HALF_SEARCH + 1)
-    for i in range(len(uv)):
-        x = int(np.round((uv[i, 0] + 0.5) / scale_x - 0.5))
-        y = int(np.round((uv[i, 1] + 0.5) / scale_y - 0.5))
-        x_right = int(np.round((right_uv[i, 0] + 0.5) / scale_x - 0.5))
+    for i in range(len(pixel)):
+        (x, y), x_right = pixel[i], right_pixel[i, 0]
         if y < _HALF_WINDOW or y >= height - _HALF_WINDOW or x < _HALF_WINDOW or x >= width - _HALF_WINDOW:
             continue
         if x_right < reach or x_right >= width - reach:
