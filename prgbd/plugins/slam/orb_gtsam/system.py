@@ -140,7 +140,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             self._loops.process(k)
 
     def _index(self, k: int) -> None:
-        with self._watch("place_index"):
+        with self._watch("keyframe_database"):
             self._database.add(k, self._map.features(k).descriptor)
 
     def _make_front_end(self, fps: float, seed: int) -> FrontEnd:

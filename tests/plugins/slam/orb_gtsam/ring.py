@@ -23,7 +23,7 @@ CAMERA = PinholeCamera(640, 480, 400.0, 400.0, 320.0, 240.0)
 COLUMNS, ROWS = int(np.ceil(640 / GRID_CELL)), int(np.ceil(480 / GRID_CELL))
 
 
-class ExactPlaces:
+class ExactDatabase:
     """Stands in for ``KeyframeDatabase``: the score is the share of equal descriptors."""
 
     def __init__(self) -> None:
@@ -71,8 +71,8 @@ class Ring:
         self.map = Map(CAPACITY, COLUMNS * ROWS, self.camera.scales)
         self.covisibility = CovisibilityGraph(self.map, self.settings.covisible_weight)
         adjuster = MapAdjuster(self.settings, self.camera, self.map, self.covisibility, make_solver("numba"))
-        self.places = ExactPlaces()
-        self.closer = LoopCloser(self.settings, self.camera, self.map, self.covisibility, adjuster, self.places)
+        self.database = ExactDatabase()
+        self.closer = LoopCloser(self.settings, self.camera, self.map, self.covisibility, adjuster, self.database)
         self.rng = np.random.default_rng(self.seed)
         n = 4000
         angle, radius = self.rng.uniform(0, 2 * np.pi, n), RADIUS + self.rng.uniform(-7, 7, n)
@@ -143,7 +143,7 @@ class Ring:
             self.scale *= self.map.keyframes.scale[k]
         else:
             np.testing.assert_array_equal(before, after)
-        self.places.add(k, self.map.features(k).descriptor)
+        self.database.add(k, self.map.features(k).descriptor)
         return closed
 
     def error(self) -> float:

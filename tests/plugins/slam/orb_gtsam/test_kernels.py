@@ -21,7 +21,7 @@ from tests.plugins.slam.orb_gtsam.scenes import CAMERA, drive
 scene = drive(outliers=0.1)
 rows = scene.kf == 3
 seen = scene.xyz0[scene.pt[rows]], scene.uvr[rows], scene.inv_sigma2[rows]
-pose, inlier = optimise_pose(scene.cTw0[3], *seen, *CAMERA, depth_fallback=True)
+pose, inlier = optimise_pose(scene.cTw0[3], *seen, CAMERA, depth_fallback=True)
 adjusted = make_solver("numba").refine_locally(scene.problem)
 print(pose.tobytes().hex(), inlier.tobytes().hex(), adjusted.cTw.tobytes().hex(), adjusted.xyz.tobytes().hex())
 """

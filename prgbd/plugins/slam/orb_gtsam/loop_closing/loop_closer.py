@@ -7,11 +7,12 @@ import time
 from typing import Any
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_correction import fuse, move_map, solve_loop
-from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_detection import LoopDetector, Places
+from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_correction import merge_both_sides, move_map, solve_loop
+from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_detection import LoopDetector
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_verification import Loop, LoopVerifier
 from prgbd.plugins.slam.orb_gtsam.map.adjustment import MapAdjuster
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_lookup import KeyframeLookup
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import apply
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -28,7 +29,7 @@ class LoopCloser:
         slam_map: The map.
         covisibility: Covisible keyframes.
         adjuster: Bundle adjustment.
-        places: Finds keyframes by appearance; whoever adds keyframes to the map adds them there.
+        database: Finds keyframes by appearance; whoever adds keyframes to the map adds them there.
         seed: Seed of RANSAC.
 
     Attributes:
@@ -42,14 +43,14 @@ class LoopCloser:
         slam_map: Map,
         covisibility: CovisibilityGraph,
         adjuster: MapAdjuster,
-        places: Places,
+        database: KeyframeLookup,
         seed: int = 0,
     ) -> None:
         self.settings, self.camera, self.map = settings, camera, slam_map
         self.covisibility, self.adjuster = covisibility, adjuster
         self.loops: list[dict[str, Any]] = []
         self._detector = LoopDetector(
-            slam_map, covisibility, places, settings.loop_consistency, settings.loop_min_interval
+            slam_map, covisibility, database, settings.loop_consistency, settings.loop_min_interval
         )
         self._verifier = LoopVerifier(slam_map, camera, covisibility, settings, seed)
         self._closed: list[tuple[int, int]] = []
@@ -103,7 +104,7 @@ class LoopCloser:
         correction = (
             move_map(slam_map, loop)
             if merge
-            else solve_loop(slam_map, loop, self._closed, self.settings.essential_weight)
+            else solve_loop(self.covisibility, loop, self._closed, self.settings.essential_weight)
         )
         if correction is None:
             return False
@@ -111,7 +112,7 @@ class LoopCloser:
             apply(slam_map, loop.k, correction)
             if merge:
                 slam_map.join(int(kf.map_id[loop.k]), int(kf.map_id[loop.candidate]))
-            fuse(slam_map, self.camera, self.settings, self.covisibility, loop)
+            merge_both_sides(self.camera, self.settings, self.covisibility, loop)
         self._closed.append((loop.k, loop.candidate))
         if self.settings.local_ba:
             self.adjuster.adjust_locally(loop.k)

@@ -1,4 +1,4 @@
-"""What a loop does to the map: poses by the essential graph, points with them, and duplicates fused."""
+"""What a loop does to the map: poses by the essential graph, points with them, and duplicates merged."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _EDGE_SIGMAS = (0.01, 0.05, 0.03)
 _LOOP_SIGMAS = (0.002, 0.02, 0.005)
 # A loop edge that the solution misses by this many standard deviations was refused by the robust weighting.
 _REFUSED = 6.0
-# Neighbours on either side of a loop whose points are fused.
-_FUSED = 20
+# Neighbours on either side of a loop whose points are merged.
+_MERGED = 20
 
 
-def essential_edges(slam_map: Map, keyframes: IntArray, weight: int) -> tuple[IntArray, IntArray]:
+def essential_edges(covisibility: CovisibilityGraph, keyframes: IntArray, weight: int) -> tuple[IntArray, IntArray]:
     """Return the edges of the essential graph: spanning tree and strong covisibility, later to earlier keyframe.
 
     Each keyframe hangs on the earlier one with which it shares most points, or else on the one before it.
@@ -40,7 +40,7 @@ def essential_edges(slam_map: Map, keyframes: IntArray, weight: int) -> tuple[In
         if position == 0:
             continue
         before = keyframes[:position]
-        shared = slam_map.common(slam_map.points_of(k))[before]
+        shared = covisibility.common(covisibility.map.points_of(k))[before]
         parent = int(before[len(before) - 1 - int(np.argmax(shared[::-1]))])
         joined = dict.fromkeys([parent, *before[shared >= weight].tolist()])
         later.extend([k] * len(joined))
@@ -48,13 +48,15 @@ def essential_edges(slam_map: Map, keyframes: IntArray, weight: int) -> tuple[In
     return np.array(later, np.int64), np.array(earlier, np.int64)
 
 
-def solve_loop(slam_map: Map, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int) -> Correction | None:
+def solve_loop(
+    covisibility: CovisibilityGraph, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int
+) -> Correction | None:
     """Spread the error that a loop shows over its map by the essential graph; the map stays as it is.
 
     Loop edges are weighed robustly: what the rest of the graph contradicts beyond its uncertainty is refused.
 
     Args:
-        slam_map: The map; its lock is held only while the graph is collected.
+        covisibility: Covisible keyframes; the map's lock is held only while the graph is collected.
         loop: The loop, within one map.
         earlier_loops: Pairs of keyframes that earlier loops joined.
         weight: Common points of a strong edge.
@@ -62,8 +64,8 @@ def solve_loop(slam_map: Map, loop: Loop, earlier_loops: list[tuple[int, int]], 
     Returns:
         The new poses, or None if the loop was refused.
     """
-    with slam_map.lock:
-        keyframes, wTc, i, j, iTj, is_loop = _graph(slam_map, loop, earlier_loops, weight)
+    with covisibility.map.lock:
+        keyframes, wTc, i, j, iTj, is_loop = _graph(covisibility, loop, earlier_loops, weight)
     ratio = np.ones(len(i))
     ratio[-1] = 1.0 / loop.scale
     sigmas = _sigmas(np.linalg.norm(iTj[:, :3, 3], axis=1), is_loop)
@@ -85,17 +87,17 @@ def solve_loop(slam_map: Map, loop: Loop, earlier_loops: list[tuple[int, int]], 
 
 
 def _graph(
-    slam_map: Map, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int
+    covisibility: CovisibilityGraph, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int
 ) -> tuple[IntArray, FloatArray, IntArray, IntArray, FloatArray, NDArray[np.bool_]]:
     """Return keyframes, their poses, and the edges: rows of both ends, pose of j seen from i, which are loops.
 
     The new loop is the last edge.
     """
-    kf = slam_map.keyframes
+    slam_map, kf = covisibility.map, covisibility.map.keyframes
     keyframes = slam_map.alive(int(kf.map_id[loop.k]))
     column = np.full(kf.count, -1, np.int64)
     column[keyframes] = np.arange(len(keyframes))
-    j, i = essential_edges(slam_map, keyframes, weight)
+    j, i = essential_edges(covisibility, keyframes, weight)
     kept = np.array([[slam_map.successor(n) for n in pair] for pair in earlier_loops], np.int64).reshape(-1, 2)
     kept = kept[(kept[:, 0] != kept[:, 1]) & (column[kept] >= 0).all(axis=1)]
     i, j = np.concatenate([i, kept[:, 1], [loop.candidate]]), np.concatenate([j, kept[:, 0], [loop.k]])
@@ -126,9 +128,9 @@ def move_map(slam_map: Map, loop: Loop) -> Correction:
     return Correction(keyframes, inverse(loop.cTw) @ relative, np.full(len(keyframes), 1.0 / loop.scale))
 
 
-def fuse(slam_map: Map, camera: CameraModel, settings: Settings, covisibility: CovisibilityGraph, loop: Loop) -> None:
+def merge_both_sides(camera: CameraModel, settings: Settings, covisibility: CovisibilityGraph, loop: Loop) -> None:
     """Let both sides of a loop, now in one place, see the same points; the caller holds ``Map.lock``."""
-    pts = slam_map.points
+    slam_map, pts = covisibility.map, covisibility.map.points
     own = slam_map.points_of(loop.k)
     for row, point in zip(loop.rows.tolist(), slam_map.current(loop.points).tolist(), strict=True):
         if point < 0 or pts.bad[point] or own[row] == point:
@@ -137,8 +139,8 @@ def fuse(slam_map: Map, camera: CameraModel, settings: Settings, covisibility: C
             slam_map.merge(int(own[row]), point)
         else:
             slam_map.observe(loop.k, np.array([row]), np.array([point]))
-    ours = np.append(loop.k, covisibility.of(loop.k)[:_FUSED])
-    theirs = np.append(loop.candidate, covisibility.of(loop.candidate)[:_FUSED])
+    ours = np.append(loop.k, covisibility.of(loop.k)[:_MERGED])
+    theirs = np.append(loop.candidate, covisibility.of(loop.candidate)[:_MERGED])
     ours, theirs = np.setdiff1d(ours, theirs), np.setdiff1d(theirs, ours)
     for targets, sources in ((ours, theirs), (theirs, ours)):
         for target in targets.tolist():

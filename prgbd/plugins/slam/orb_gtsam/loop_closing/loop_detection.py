@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_lookup import KeyframeLookup
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 
 IntArray = NDArray[np.int64]
@@ -20,16 +19,6 @@ _GROUP, _SHARE_OF_BEST = 10, 0.75
 _CANDIDATES = 10
 
 
-class Places(Protocol):
-    """What loop detection asks of ``KeyframeDatabase``."""
-
-    def query(
-        self, descriptors: NDArray[np.uint64], *, exclude: IntArray | list[int] = ...
-    ) -> tuple[IntArray, FloatArray]:
-        """Return keyframes that look like an image, best first, and their scores."""
-        ...
-
-
 class LoopDetector:
     """Proposes earlier keyframes, or ones of other maps, that show what a new keyframe shows.
 
@@ -39,15 +28,15 @@ class LoopDetector:
     Args:
         slam_map: The map.
         covisibility: Covisible keyframes.
-        places: Finds keyframes by appearance.
+        database: Finds keyframes by appearance.
         consistency: Detections in a row that are needed.
         apart: Keyframes next to the new one in time that cannot be a loop.
     """
 
     def __init__(
-        self, slam_map: Map, covisibility: CovisibilityGraph, places: Places, consistency: int, apart: int
+        self, slam_map: Map, covisibility: CovisibilityGraph, database: KeyframeLookup, consistency: int, apart: int
     ) -> None:
-        self.map, self.covisibility, self.places = slam_map, covisibility, places
+        self.map, self.covisibility, self.database = slam_map, covisibility, database
         self.consistency, self.apart = consistency, apart
         self._groups: list[tuple[set[int], int]] = []
 
@@ -75,11 +64,11 @@ class LoopDetector:
         """
         kf = self.map.keyframes
         around = self.covisibility.of(k)
-        found, scores = self.places.query(self.map.features(k).descriptor, exclude=[k])
+        found, scores = self.database.query(self.map.features(k).descriptor, exclude=[k])
         score = dict(zip(found.tolist(), scores.tolist(), strict=True))
         least = min((score.get(n, 0.0) for n in around.tolist()), default=0.0)
         other_map = kf.map_id[found] != kf.map_id[k]
-        shared = self.map.common(self.map.seen_by(np.append(around, k)))[found]
+        shared = self.covisibility.common(self.map.seen_by(np.append(around, k)))[found]
         apart = other_map | ((np.abs(found - k) > self.apart) & (shared < self.covisibility.least))
         allowed = found[~kf.bad[found] & apart & (scores >= least) & (scores > 0)][:_CANDIDATES]
         return self._best_of_groups(allowed.tolist(), score)

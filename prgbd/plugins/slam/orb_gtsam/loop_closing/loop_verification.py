@@ -210,7 +210,7 @@ class LoopVerifier:
             uvr[:, 2] = -1.0
         weight = camera.weights(features.octave[rows], features.depth[rows])
         cTw, inlier = optimise_pose(
-            cTw, slam_map.points.xyz[points], uvr, weight, *camera.intrinsics, depth_fallback=camera.noise.fallback
+            cTw, slam_map.points.xyz[points], uvr, weight, camera.intrinsics, depth_fallback=camera.noise.fallback
         )
         enough = inlier.sum() >= max(settings.loop_min_matches, _LEAST_AGREEING * len(rows))
         if not enough or not self._spread(features.uv[rows[inlier]]):

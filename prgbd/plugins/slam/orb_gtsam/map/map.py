@@ -1,4 +1,4 @@
-"""The map: keyframes, points and their observations as growable columns."""
+"""The map: keyframes, points, and who sees what."""
 
 from __future__ import annotations
 
@@ -11,102 +11,14 @@ from numpy.typing import NDArray
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.map import map_kernels as kernels
-from prgbd.plugins.slam.orb_gtsam.map.columns import Columns
 from prgbd.plugins.slam.orb_gtsam.map.locking import FairLock, StepLock
+from prgbd.plugins.slam.orb_gtsam.map.map_columns import KeyframeColumns, PointColumns
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 # The row of a culled point serves a new one after this many keyframes: by then no frame or queue refers to it.
 _QUARANTINE = 20
-
-
-class KeyframeColumns(Columns):
-    """Keyframes; rows of culled ones stay, marked ``bad``, with their pose relative to ``parent``.
-
-    ``scale`` is the product of all scales by which loops changed the map around a keyframe: lengths that were noted
-    at one time are multiplied by the quotient of its value now and then.
-    """
-
-    cTw: FloatArray
-    centre: FloatArray
-    frame_index: IntArray
-    timestamp: FloatArray
-    map_id: NDArray[np.int32]
-    bad: NDArray[np.bool_]
-    parent: IntArray
-    cTparent: FloatArray
-    size: IntArray
-    uv: NDArray[np.float32]
-    octave: NDArray[np.int32]
-    angle: NDArray[np.float32]
-    descriptor: NDArray[np.uint64]
-    depth: NDArray[np.float32]
-    u_right: NDArray[np.float32]
-    rgb: NDArray[np.uint8]
-    cell_start: NDArray[np.int32]
-    point: IntArray
-    following: IntArray
-    median_depth: FloatArray
-    scale: FloatArray
-
-    def __init__(self, capacity: int, cells: int) -> None:
-        super().__init__(
-            cTw=((4, 4), np.float64, 0),
-            centre=((3,), np.float64, 0),
-            frame_index=((), np.int64, -1),
-            timestamp=((), np.float64, 0),
-            map_id=((), np.int32, 0),
-            bad=((), np.bool_, 0),
-            parent=((), np.int64, -1),
-            cTparent=((4, 4), np.float64, 0),
-            size=((), np.int64, 0),
-            uv=((capacity, 2), np.float32, 0),
-            octave=((capacity,), np.int32, 0),
-            angle=((capacity,), np.float32, 0),
-            descriptor=((capacity, 4), np.uint64, 0),
-            depth=((capacity,), np.float32, 0),
-            u_right=((capacity,), np.float32, -1),
-            rgb=((capacity, 3), np.uint8, 0),
-            cell_start=((cells + 1,), np.int32, 0),
-            point=((capacity,), np.int64, -1),
-            following=((capacity,), np.int64, -1),
-            median_depth=((), np.float64, 0),
-            scale=((), np.float64, 1),
-        )
-
-
-class PointColumns(Columns):
-    """Map points; culled ones are marked ``bad`` and merged ones name the point that took their place, for a while."""
-
-    xyz: FloatArray
-    normal: FloatArray
-    distance_range: FloatArray
-    descriptor: NDArray[np.uint64]
-    rgb: NDArray[np.uint8]
-    reference: IntArray
-    created: IntArray
-    head: IntArray
-    visible: IntArray
-    found: IntArray
-    bad: NDArray[np.bool_]
-    replaced_by: IntArray
-
-    def __init__(self) -> None:
-        super().__init__(
-            xyz=((3,), np.float64, 0),
-            normal=((3,), np.float64, 0),
-            distance_range=((2,), np.float64, 0),
-            descriptor=((4,), np.uint64, 0),
-            rgb=((3,), np.uint8, 0),
-            reference=((), np.int64, -1),
-            created=((), np.int64, -1),
-            head=((), np.int64, -1),
-            visible=((), np.int64, 1),
-            found=((), np.int64, 1),
-            bad=((), np.bool_, 0),
-            replaced_by=((), np.int64, -1),
-        )
 
 
 @dataclass
@@ -215,25 +127,6 @@ class Map:
         ids[ids == min(a, b)] = max(a, b)
         if self.current_map == min(a, b):
             self.current_map = max(a, b)
-
-    def covisible(self, k: int, least: int) -> tuple[IntArray, IntArray]:
-        """Return the keyframes that share at least ``least`` points with ``k``, most first, and how many.
-
-        Where none reaches ``least``, the best one is returned, as in ORB-SLAM2.
-        """
-        weights = self.common(self.points_of(k))
-        weights[k] = 0
-        order = np.flatnonzero(weights)
-        order = order[np.argsort(-weights[order], kind="stable")]
-        strong = order[weights[order] >= least]
-        chosen = strong if len(strong) else order[:1]
-        return chosen, weights[chosen]
-
-    def common(self, point_ids: IntArray) -> IntArray:
-        """Return how many of the points ``point_ids`` (-1 for none) every keyframe sees."""
-        return kernels.common_points(
-            point_ids, self.keyframes.following, self.points.head, self.keyframes.count, self.capacity
-        )
 
     def cull_keyframe(self, k: int, parent: int) -> None:
         """Take a keyframe out of the map; frames that refer to it follow ``parent`` from now on."""

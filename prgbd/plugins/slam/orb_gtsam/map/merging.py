@@ -1,4 +1,4 @@
-"""Fusion: one point for what several keyframes saw as different ones."""
+"""Merging of duplicate points: one for what several keyframes saw as different ones."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class LocalMapper:
             cull_new_points(self.map, k, settings.min_found_ratio, mono=self.camera.mono)
         with watch("triangulation"):
             self._triangulate(k)
-        with watch("fusion"):
+        with watch("merging"):
             self._merge_duplicates(k)
         self._changed()
         if settings.local_ba and len(self._mapped(k)) > 2:
@@ -137,7 +137,7 @@ class LocalMapper:
         close = 0.0 if self.camera.mono else self.camera.close_depth
         if not is_redundant(slam_map, candidate, self.settings.redundancy, close):
             return
-        parents = slam_map.covisible(candidate, 1)[0]
+        parents = self.covisibility.ranked(candidate, 1)[0]
         parents = parents[parents != candidate]
         slam_map.cull_keyframe(candidate, int(parents[0]))
         for callback in self.after_culling:

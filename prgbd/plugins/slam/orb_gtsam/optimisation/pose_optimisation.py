@@ -32,11 +32,7 @@ def optimise_pose(
     xyz: FloatArray,
     uvr: FloatArray,
     inv_sigma2: FloatArray,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    bf: float,
+    camera: tuple[float, float, float, float, float],
     depth_fallback: bool = False,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Refine a camera pose on observations of known points, as ORB-SLAM2's ``PoseOptimization``.
@@ -50,11 +46,8 @@ def optimise_pose(
         xyz: (N, 3) points in the world.
         uvr: (N, 3) observed ``(u, v, u_right)`` in pixels; ``u_right < 0`` for monocular observations.
         inv_sigma2: (N,) inverse variance of ``(u, v, u_right)``, or (N, 2) of ``(u, v)`` and of ``u_right``; 1 / px^2.
-        fx: Focal length in pixels.
-        fy: Focal length in pixels.
-        cx: Principal point in pixels.
-        cy: Principal point in pixels.
-        bf: Baseline times ``fx``; unused where all observations are monocular.
+        camera: ``(fx, fy, cx, cy, bf)`` in pixels; ``bf``, baseline times ``fx``, is unused where all observations are
+            monocular.
         depth_fallback: Whether observations that only their depth makes outliers count, without it, as monocular
             inliers.
 
@@ -69,7 +62,7 @@ def optimise_pose(
         np.ascontiguousarray(xyz, np.float64),
         np.ascontiguousarray(uvr, np.float64),
         split_weights(inv_sigma2),
-        np.array([fx, fy, cx, cy, bf], np.float64),
+        np.array(camera, np.float64),
         depth_fallback,
         inlier,
     )

@@ -47,7 +47,7 @@ def local_map(
     Returns:
         The local map, or None if no keyframe shares a point with the frame.
     """
-    counts = slam_map.common(frame.points)
+    counts = covisibility.common(frame.points)
     order = np.flatnonzero(counts)
     order = order[np.argsort(-counts[order], kind="stable")][: settings.local_keyframes]
     if len(order) == 0:

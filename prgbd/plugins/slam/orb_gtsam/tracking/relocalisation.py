@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_lookup import KeyframeLookup
 from prgbd.plugins.slam.orb_gtsam.tracking.local_map import match_keyframe, match_local_map
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.tracking.tracker import Tracker
-
-if TYPE_CHECKING:
-    from prgbd.plugins.slam.orb_gtsam.loop_closing.keyframe_database import KeyframeDatabase
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -31,11 +27,11 @@ class Relocaliser:
 
     Args:
         tracker: Its reference keyframe is where the search starts; gets another one when a frame is found.
-        places: Finds keyframes of all maps by appearance.
+        database: Finds keyframes of all maps by appearance.
     """
 
-    def __init__(self, tracker: Tracker, places: KeyframeDatabase) -> None:
-        self.tracker, self.places = tracker, places
+    def __init__(self, tracker: Tracker, database: KeyframeLookup) -> None:
+        self.tracker, self.database = tracker, database
         self.settings, self.map, self.camera = tracker.settings, tracker.map, tracker.camera
 
     def sees(self, frame: TrackedFrame) -> bool:
@@ -72,12 +68,12 @@ class Relocaliser:
         """Return where the frame was last seen and the places that look like it, in turns."""
         slam_map, tracker, limit = self.map, self.tracker, self.settings.recovery_keyframes
         bad = slam_map.keyframes.bad
-        near: list[int] = []
+        recent: list[int] = []
         if tracker.reference >= 0:
             reference = slam_map.successor(tracker.reference)
             latest = slam_map.alive(int(slam_map.keyframes.map_id[reference]))[::-1]
-            near = [reference, *latest[:2].tolist(), *tracker.covisibility.of(reference)[:2].tolist()]
-        alike, _ = self.places.query(frame.features.descriptor, count=3 * limit)
+            recent = [reference, *latest[:2].tolist(), *tracker.covisibility.of(reference)[:2].tolist()]
+        alike, _ = self.database.query(frame.features.descriptor, count=3 * limit)
         chosen: dict[int, None] = {}
         # Of keyframes next to each other one is enough: the points around it are looked for as well.
         covered: set[int] = set()
@@ -85,8 +81,8 @@ class Relocaliser:
             if k not in covered and not bad[k]:
                 chosen[k] = None
                 covered.update((k, *tracker.covisibility.of(k)[:_AROUND].tolist()))
-        mixed = [k for pair in zip(near, chosen, strict=False) for k in pair]
-        ordered = dict.fromkeys([*mixed, *near, *chosen])
+        mixed = [k for pair in zip(recent, chosen, strict=False) for k in pair]
+        ordered = dict.fromkeys([*mixed, *recent, *chosen])
         return [k for k in ordered if not bad[k]][:limit]
 
     def _pose_against(self, frame: TrackedFrame, k: int) -> bool:

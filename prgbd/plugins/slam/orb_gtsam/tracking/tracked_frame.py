@@ -72,7 +72,7 @@ class TrackedFrame:
             slam_map.points.xyz[self.points[rows]],
             camera.measured(self.features, rows),
             camera.weights(self.features.octave[rows], self.features.depth[rows]),
-            *camera.intrinsics,
+            camera.intrinsics,
             depth_fallback=camera.noise.fallback,
         )
         self.cTw = cTw

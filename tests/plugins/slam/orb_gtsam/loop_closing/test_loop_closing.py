@@ -44,7 +44,7 @@ def test_a_loop_takes_the_drift_away(mono: bool, drift: tuple[float, float]) -> 
     assert ring.error() < before / 8
 
 
-def test_a_loop_fuses_what_was_seen_twice() -> None:
+def test_a_loop_merges_what_was_seen_twice() -> None:
     ring = Ring(drift=(0.004, 0.001))
     closed = go_round(ring, range(LAP + 12))
     k = closed[0]
@@ -124,10 +124,10 @@ def test_a_loop_that_all_the_rest_contradicts_is_refused(free_scale: bool) -> No
     kf = ring.map.keyframes
     none = np.zeros(0, np.int64)
     true = Loop(29, 5, kf.cTw[29].copy(), 1.0, none, none, free_scale)
-    assert solve_loop(ring.map, true, [], 100) is not None
+    assert solve_loop(ring.covisibility, true, [], 100) is not None
     # Keyframe 29, a quarter of the ring on, is said to be where keyframe 5 is.
     false = dataclasses.replace(true, cTw=kf.cTw[5].copy())
-    assert solve_loop(ring.map, false, [], 100) is None
+    assert solve_loop(ring.covisibility, false, [], 100) is None
 
 
 def test_a_place_must_be_proposed_several_times_in_a_row() -> None:
@@ -139,7 +139,7 @@ def test_a_place_must_be_proposed_several_times_in_a_row() -> None:
     for step in range(3, 8):
         k = ring.drive(step)
         proposals.append(ring.closer._detector.propose(k))
-        ring.places.add(k, ring.map.features(k).descriptor)
+        ring.database.add(k, ring.map.features(k).descriptor)
     assert proposals[:2] == [[], []]
     assert all(proposals[2:])
     # One keyframe that looks like nothing known begins the count anew.
@@ -153,11 +153,11 @@ def test_the_essential_graph_is_connected_and_keeps_strong_edges() -> None:
     for step in range(20):
         ring.drive(step)
     keyframes = ring.map.alive()
-    later, earlier = essential_edges(ring.map, keyframes, 60)
+    later, earlier = essential_edges(ring.covisibility, keyframes, 60)
     assert np.all(earlier < later)
     assert set(later.tolist()) == set(range(1, 20))
     for j, i in zip(later.tolist(), earlier.tolist(), strict=True):
-        shared = ring.map.common(ring.map.points_of(j))
+        shared = ring.covisibility.common(ring.map.points_of(j))
         assert shared[i] >= 60 or shared[i] == shared[:j].max()
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import exp_se3, inverse
+from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 
 CAPACITY, CELLS = 40, 6
@@ -101,10 +102,11 @@ def test_covisible_keyframes_come_in_order_of_common_points(slam_map, rng) -> No
     slam_map.observe(b, np.arange(10), points[:10])
     slam_map.observe(c, np.arange(20), points[:20])
     slam_map.observe(d, np.arange(3), points[:3])
-    order, weights = slam_map.covisible(a, 5)
+    graph = CovisibilityGraph(slam_map, 5)
+    order, weights = graph.ranked(a, 5)
     assert (order.tolist(), weights.tolist()) == ([c, b], [20, 10])
     # Without a strong neighbour the best one counts.
-    assert slam_map.covisible(d, 5)[0].tolist() == [a]
+    assert graph.ranked(d, 5)[0].tolist() == [a]
     assert slam_map.seen_by(np.array([b, d])).tolist() == points[:10].tolist()
 
 

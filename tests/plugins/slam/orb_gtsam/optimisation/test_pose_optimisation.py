@@ -29,7 +29,7 @@ def view(count=300, noise=0.0, outliers=0.0, mono=0.3, seed=0):
 @pytest.mark.parametrize("mono", [0.0, 0.5, 1.0])
 def test_exact_observations_give_the_true_pose(mono):
     xyz, uvr, weight, _ = view(mono=mono)
-    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
     np.testing.assert_allclose(pose, TRUE, atol=1e-9)
     assert inlier.all()
 
@@ -37,7 +37,7 @@ def test_exact_observations_give_the_true_pose(mono):
 @pytest.mark.parametrize("seed", range(4))
 def test_outliers_are_found_and_do_not_pull(seed):
     xyz, uvr, weight, bad = view(noise=0.5, outliers=0.4, seed=seed)
-    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
     assert not (inlier & bad).any()
     assert inlier[~bad].mean() > 0.95
     assert np.abs(log_se3(pose @ np.linalg.inv(TRUE))).max() < 0.005
@@ -46,7 +46,7 @@ def test_outliers_are_found_and_do_not_pull(seed):
 def test_the_optimum_is_that_of_an_independent_solver():
     xyz, uvr, weight, _ = view(noise=0.3, seed=5)
     weight = np.random.default_rng(1).uniform(0.3, 1.0, (len(weight), 2))
-    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
 
     def residuals(xi):
         error = (project(exp_se3(xi) @ TRUE, xyz) - uvr) * np.sqrt(weight)[:, [0, 0, 1]]
@@ -82,7 +82,7 @@ def test_a_guess_that_is_hundreds_of_pixels_off_converges():
     xyz, uvr, weight, _ = view()
     far = exp_se3(np.array([0.2, 0.3, -0.2, 0.3, 0.3, -0.4])) @ TRUE
     assert np.median(np.linalg.norm(project(far, xyz)[:, :2] - uvr[:, :2], axis=1)) > 200
-    pose, _ = optimise_pose(far, xyz, uvr, weight, *CAMERA)
+    pose, _ = optimise_pose(far, xyz, uvr, weight, CAMERA)
     np.testing.assert_allclose(pose, TRUE, atol=1e-7)
 
 
@@ -90,7 +90,7 @@ def test_points_behind_the_camera_are_outliers():
     xyz, uvr, weight, _ = view()
     behind = np.array([0.5, 0.2, -4.0])
     xyz[:20] = (behind - TRUE[:3, 3]) @ TRUE[:3, :3]
-    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
     assert not inlier[:20].any()
     assert inlier[20:].all()
     np.testing.assert_allclose(pose, TRUE, atol=1e-7)
@@ -99,11 +99,11 @@ def test_points_behind_the_camera_are_outliers():
 def test_unusable_input_leaves_the_guess_without_inliers():
     xyz, uvr, weight, _ = view()
     for few in (0, 2):
-        pose, inlier = optimise_pose(GUESS, xyz[:few], uvr[:few], weight[:few], *CAMERA)
+        pose, inlier = optimise_pose(GUESS, xyz[:few], uvr[:few], weight[:few], CAMERA)
         np.testing.assert_array_equal(pose, GUESS)
         assert inlier.shape == (few,)
         assert not inlier.any()
-    pose, inlier = optimise_pose(GUESS, np.full_like(xyz, np.nan), uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, np.full_like(xyz, np.nan), uvr, weight, CAMERA)
     np.testing.assert_array_equal(pose, GUESS)
     assert not inlier.any()
 
@@ -111,14 +111,14 @@ def test_unusable_input_leaves_the_guess_without_inliers():
 def test_single_bad_numbers_do_not_spread():
     xyz, uvr, weight, _ = view()
     xyz[0, 1], uvr[1, 0], weight[2] = np.nan, np.inf, np.nan
-    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
     np.testing.assert_allclose(pose, TRUE, atol=1e-9)
     assert not inlier[:3].any()
 
 
 def test_degenerate_points_give_a_finite_rigid_pose():
     xyz, uvr, weight, _ = view(mono=1.0)
-    pose, _ = optimise_pose(GUESS, np.repeat(xyz[:1], 300, 0), np.repeat(uvr[:1], 300, 0), weight, *CAMERA)
+    pose, _ = optimise_pose(GUESS, np.repeat(xyz[:1], 300, 0), np.repeat(uvr[:1], 300, 0), weight, CAMERA)
     assert np.isfinite(pose).all()
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
 
@@ -126,10 +126,10 @@ def test_degenerate_points_give_a_finite_rigid_pose():
 def test_inputs_stay_as_they_are_and_any_layout_is_accepted():
     xyz, uvr, weight, _ = view(noise=0.5)
     guess, points = GUESS.copy(), xyz.copy()
-    once, _ = optimise_pose(guess, points, uvr, weight, *CAMERA)
+    once, _ = optimise_pose(guess, points, uvr, weight, CAMERA)
     np.testing.assert_array_equal(guess, GUESS)
     np.testing.assert_array_equal(points, xyz)
-    again, _ = optimise_pose(np.asfortranarray(guess), points[::1], uvr.astype(np.float64), weight, *CAMERA)
+    again, _ = optimise_pose(np.asfortranarray(guess), points[::1], uvr.astype(np.float64), weight, CAMERA)
     np.testing.assert_array_equal(once, again)
 
 
@@ -153,8 +153,8 @@ def test_damped_solver():
 def test_the_interpreter_runs_meanwhile():
     xyz, uvr, weight, _ = view(noise=0.5)
     many = [np.tile(a, (1000, 1)) if a.ndim == 2 else np.tile(a, 1000) for a in (xyz, uvr, weight)]
-    optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
-    worker = threading.Thread(target=optimise_pose, args=(GUESS, *many, *CAMERA))
+    optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
+    worker = threading.Thread(target=optimise_pose, args=(GUESS, *many, CAMERA))
     gaps, last = [], time.perf_counter()
     worker.start()
     begin = last
@@ -169,8 +169,8 @@ def test_a_wrong_depth_costs_the_depth_and_not_the_match():
     xyz, uvr, weight, _ = view(noise=0.3, mono=0.0, seed=3)
     wrong = np.random.default_rng(4).random(len(xyz)) < 0.4
     uvr[wrong, 2] -= 30.0
-    _, without = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA)
-    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, *CAMERA, depth_fallback=True)
+    _, without = optimise_pose(GUESS, xyz, uvr, weight, CAMERA)
+    pose, inlier = optimise_pose(GUESS, xyz, uvr, weight, CAMERA, depth_fallback=True)
     assert without[wrong].mean() < 0.02
     assert inlier[wrong].mean() > 0.95
     assert np.abs(log_se3(pose @ np.linalg.inv(TRUE))).max() < 0.005

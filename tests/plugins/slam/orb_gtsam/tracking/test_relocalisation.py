@@ -75,7 +75,7 @@ def test_an_unknown_place_starts_a_map_once_enough_frames_showed_it(journey) -> 
         dark = [replace(frame, image=np.zeros_like(frame.image)) for frame in journey[26:28]]
         assert states_of(system, [*dark, *journey[28:38]]) == ["lost"] * 6 + ["ok"] * 6
         slam_map = system._map
-        shared = slam_map.common(slam_map.points_of(slam_map.keyframes.count - 1))
+        shared = system._covisibility.common(slam_map.points_of(slam_map.keyframes.count - 1))
         assert not shared[slam_map.keyframes.map_id[: slam_map.keyframes.count] == 0].any()
         result = system.finish()
     assert result.stats["maps"] == 2
