@@ -74,7 +74,7 @@ def parse(arguments: list[str]) -> tuple[argparse.Namespace, dict[str, Any]]:
 
 
 def read_settings(settings: list[str]) -> dict[str, Any]:
-    """Read ``group.name=value`` arguments into nested dictionaries; values are YAML."""
+    """Read ``group.name=value`` arguments, with any number of dots, into nested dictionaries; values are YAML."""
     found: dict[str, Any] = {"data": {}, "slam": {}, "depth": {}}
     for setting in settings:
         name, equals, value = setting.partition("=")
@@ -88,9 +88,14 @@ def read_settings(settings: list[str]) -> dict[str, Any]:
         if not dot and name not in SETTINGS:
             raise ConfigError(f"There is no setting '{name}'; choose {', '.join(SETTINGS)}, slam.*, data.* or depth.*.")
         try:
-            (found[group] if dot else found)[key if dot else name] = yaml.safe_load(value)
+            loaded = yaml.safe_load(value)
         except yaml.YAMLError:
             raise ConfigError(f"The value of '{setting}' cannot be read as YAML; quote it.") from None
+        node = found[group] if dot else found
+        *parents, leaf = (key if dot else name).split(".")
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        node[leaf] = loaded
     return found
 
 

@@ -225,16 +225,17 @@ def _with_installed_plugins(words: list[str]) -> list[str]:
 def _check_plugin_options(words: list[str], config: dict) -> None:
     """Options of plug-ins pass the command line unseen, so they are looked up where the plug-in has them."""
     from prgbd.cli.parts import LOOP_KEYS
+    from prgbd.core.options import option_names
     from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
     for word in words:
-        found = re.match(r"\+*(slam|depth|data)\.(\w+)=", word)
+        found = re.match(r"\+*(slam|depth|data)\.([\w.]+)=", word)
         if found is None or found[2] in (*LOOP_KEYS[found[1]], "id"):
             continue
         plugin = value_of([w.lstrip("+") for w in words], found[1]) or config[found[1]]["id"]
         if REGISTRY.resolve(found[1], plugin).missing:
             continue  # its extra is not installed here
-        known = set(vars(Settings())) if plugin == "orb_gtsam" else set(REGISTRY.options(found[1], plugin))
+        known = set(option_names(Settings)) if plugin == "orb_gtsam" else set(REGISTRY.options(found[1], plugin))
         assert found[2] in known, f"{word}: {plugin} has {sorted(known)}"
 
 

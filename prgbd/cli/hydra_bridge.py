@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import importlib.util
 import logging
 import re
+from dataclasses import asdict
 from importlib import metadata, resources
 from pathlib import Path
+from typing import Any
 
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
@@ -19,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from prgbd.core.errors import ConfigError, PrgbdError
 from prgbd.core.options import listed, unknown_option
-from prgbd.core.registry import KINDS, REGISTRY, parse_id
+from prgbd.core.registry import KINDS, REGISTRY, PluginSpec, parse_id
 
 log = logging.getLogger(__name__)
 CONF_GROUP = "prgbd.conf"
@@ -49,18 +52,33 @@ def conf_folders() -> list[tuple[str, Path]]:
 
 
 def register_plugins() -> None:
-    """Make every registered plug-in a choice of its Hydra group; one with YAML keeps its YAML."""
+    """Make every registered plug-in a choice of its Hydra group; one with YAML keeps its YAML.
+
+    The options of a plug-in that names their dataclass are the choice ``KIND/options/ID``, for its YAML to start from.
+    """
     Plugins.instance().register(PluginPackagesSearchPath)
     folders = [Path(str(resources.files("prgbd.conf"))), *(folder for _, folder in conf_folders())]
     store = ConfigStore.instance()
     for kind in KINDS:
-        ids = {name for spec in REGISTRY.specs(kind) for name in (spec.id, spec.versionless)}
+        specs = REGISTRY.specs(kind)
+        for spec in specs:
+            if spec.options:
+                store.store(name=spec.id, node=default_options(spec), group=f"{kind}/options", package=kind)
+        ids = {name for spec in specs for name in (spec.id, spec.versionless)}
         for plugin_id in sorted(ids):
             if any((folder / kind / f"{plugin_id}.yaml").is_file() for folder in folders):
                 continue
             namespace, _, name = plugin_id.rpartition("/")
             group = f"{kind}/{namespace}" if namespace else kind
             store.store(name=name, node={"id": plugin_id}, group=group, package=kind)
+
+
+def default_options(spec: PluginSpec) -> dict[str, Any]:
+    """Return the options of a plug-in with their defaults, groups as mappings; {} if it names no dataclass."""
+    if not spec.options:
+        return {}
+    module, _, name = spec.options.partition(":")
+    return asdict(getattr(importlib.import_module(module), name)())
 
 
 def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdError:
@@ -117,6 +135,8 @@ def known_options() -> list[str]:
         prefix = "" if path.parent == folder else path.parent.name
         if isinstance(node, dict):
             names.update(_dotted(node, prefix))
+    for spec in (spec for kind in KINDS for spec in REGISTRY.specs(kind)):
+        names.update(_dotted(default_options(spec), spec.kind))
     names.update(p.name for p in folder.iterdir() if p.is_dir() and not p.name.startswith("_"))
     return sorted(n for n in names if not n.startswith(("hydra", "defaults")))
 

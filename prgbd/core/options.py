@@ -49,9 +49,14 @@ def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
         ConfigError: If an option is unknown, absent without a default, or has a value of the wrong type; the message
             holds its full dotted name. What ``__post_init__`` raises passes as it is.
     """
+    return _made(cls, given, prefix, option_names(cls, prefix))
+
+
+def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: list[str]) -> T:
+    """Make a dataclass, which may be a group of a larger one; ``all_names`` are what an unknown name may stand for."""
     hints = _hints(cls)
     known = {option.name: option for option in fields(cls) if option.init}  # type: ignore[arg-type]
-    _check_names(given, known, prefix, option_names(cls, prefix))
+    _check_names(given, known, prefix, all_names)
     values = {}
     for name, option in known.items():
         key = dotted(prefix, name)
@@ -59,7 +64,7 @@ def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
             if option.default is MISSING and option.default_factory is MISSING:
                 raise ConfigError(f"The option {key} has no default; add {key}=...")
         elif _is_group(hints[name]) and isinstance(given[name], Mapping):
-            values[name] = _group(hints[name], option, given[name], key)
+            values[name] = _group(hints[name], option, given[name], key, all_names)
         else:
             values[name] = _converted(given[name], hints[name], key)
     return cls(**values)
@@ -133,8 +138,14 @@ def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
     names = sorted(known)
     parent, _, leaf = key.rpartition(".")
     siblings = [name for name in names if name.rpartition(".")[0] == parent]
+    groups = sorted({name.rpartition(".")[0] for name in names if name.rpartition(".")[0].rpartition(".")[0] == parent})
     elsewhere = [name for name in names if name.rpartition(".")[2] == leaf]
-    near = _near(leaf, siblings) or elsewhere or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
+    near = (
+        _near(leaf, [*siblings, *groups])
+        or elsewhere
+        or _near(leaf, names)
+        or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
+    )
     hint = f"did you mean {listed(near)}?" if near else f"there are {listed(siblings or names)}."
     return ConfigError(f"There is no option '{key}'; {hint}")
 
@@ -170,12 +181,12 @@ def _is_group(annotation: Any) -> TypeGuard[type[Any]]:
     return isinstance(annotation, type) and is_dataclass(annotation)
 
 
-def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: str) -> Any:
+def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: str, all_names: list[str]) -> Any:
     """Make a nested dataclass; its defaults are those of the field that holds it."""
     if option.default is MISSING and option.default_factory is MISSING:
-        return from_mapping(cls, given, key)
-    default = _default(option)
-    return from_mapping(cls, {f.name: getattr(default, f.name) for f in fields(cls) if f.init} | dict(given), key)
+        return _made(cls, given, key, all_names)
+    default = {f.name: getattr(_default(option), f.name) for f in fields(cls) if f.init}
+    return _made(cls, default | dict(given), key, all_names)
 
 
 def _converted(value: Any, annotation: Any, key: str) -> Any:

@@ -47,6 +47,8 @@ class PluginSpec:
         kwargs: Default keyword arguments of the class.
         extra: The optional dependencies that it needs, as ``pip install 'prgbd[extra]'`` names them; "" for none.
         requires: The modules that the extra brings.
+        options: ``module:Dataclass`` of the options, "" where the constructor's signature tells them. The command line
+            shows its defaults, so its module must import nothing heavy.
     """
 
     kind: str
@@ -57,6 +59,7 @@ class PluginSpec:
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     extra: str = ""
     requires: tuple[str, ...] = ()
+    options: str = ""
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -256,7 +259,7 @@ def make_depth(plugin_id: str, **kwargs: Any) -> DepthEstimator:
 
 
 def make_slam(plugin_id: str, **kwargs: Any) -> GeometricSLAM:
-    """Make a SLAM system by id, e.g. ``make_slam("orb_gtsam", features=2000)``."""
+    """Make a SLAM system by id, e.g. ``make_slam("orb_gtsam", features={"count": 2000})``."""
     made: GeometricSLAM = REGISTRY.make("slam", plugin_id, **kwargs)
     return made
 

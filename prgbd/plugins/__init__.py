@@ -29,6 +29,8 @@ EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {
     ("depth", "huggingface"): ("hf", ("transformers", "safetensors")),
     ("slam", "colmap"): ("colmap", ("pycolmap",)),
 }
+# The dataclass of a plug-in's options, where they are more than the keywords of its constructor.
+OPTIONS = {("slam", "orb_gtsam"): "prgbd.plugins.slam.orb_gtsam.settings:Settings"}
 
 for _kind, _id, _target, _description in BUILT_IN:
     _extra, _requires = EXTRAS.get((_kind, _id), ("", ()))
@@ -41,6 +43,7 @@ for _kind, _id, _target, _description in BUILT_IN:
             origin="built-in",
             extra=_extra,
             requires=_requires,
+            options=OPTIONS.get((_kind, _id), ""),
         ),
         override=True,
     )

@@ -1,6 +1,6 @@
 """The configuration that ships with prgbd."""
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from importlib import resources
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 from prgbd.cli.arguments import GROUPS, normalise
-from prgbd.cli.hydra_bridge import known_options
+from prgbd.cli.hydra_bridge import known_options, register_plugins
 from prgbd.cli.parts import LOOP_KEYS, _names
 from prgbd.core.registry import KINDS, REGISTRY
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
@@ -20,6 +20,7 @@ CONF = Path(str(resources.files("prgbd.conf")))
 
 
 def composed(*arguments):
+    register_plugins()
     with initialize_config_module("prgbd.conf", version_base="1.3"):
         return OmegaConf.to_container(compose("prgbd", overrides=normalise(arguments)), resolve=False)
 
@@ -46,12 +47,15 @@ def test_refinement_defaults_are_the_paper_s_and_said_in_full():
     assert {k: config["loss"][k] for k in TERMS} == dict(zip(TERMS, (1.0, 0.001, 1.0, 1.0), strict=True))
 
 
-def test_every_threshold_of_orb_gtsam_can_be_seen_and_is_its_default():
-    node = OmegaConf.to_container(OmegaConf.load(CONF / "slam" / "orb_gtsam.yaml"))
-    listed = {name: value for name, value in node.items() if name not in ("id", *LOOP_KEYS["slam"])}
-    defaults = {f.name: list(f.default) if isinstance(f.default, tuple) else f.default for f in fields(Settings)}
-    assert listed == defaults
-    Settings.from_options(listed)
+def test_every_option_of_orb_gtsam_can_be_seen_with_its_default():
+    node = composed("slam=orb_gtsam")["slam"]
+    assert node == {"id": "orb_gtsam", **{key: node[key] for key in LOOP_KEYS["slam"]}, **asdict(Settings())}
+    assert {"slam.tracking.local_keyframes", "slam.realtime", "slam.mode"} <= set(known_options())
+
+
+def test_the_yaml_of_orb_gtsam_repeats_no_option():
+    node = OmegaConf.load(CONF / "slam" / "orb_gtsam.yaml")
+    assert set(node) == {"defaults", "id", *LOOP_KEYS["slam"]}
 
 
 def test_pretraining_defaults_are_said_in_full():

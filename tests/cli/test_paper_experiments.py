@@ -15,7 +15,7 @@ from prgbd.report.table import Table
 from prgbd.report.tables import depth_table, pose_table
 from tests.cli import layouts
 
-QUICK = ("training.batch_size=4", "export=[tum]", "slam.features=300")
+QUICK = ("training.batch_size=4", "export=[tum]", "slam.features.count=300")
 SMALL = ("depth.height=64", "depth.width=96", *QUICK)
 TINY = ("depth=test/tiny", *QUICK)
 """Networks and maps that are quick; the experiment files decide everything else."""

@@ -36,7 +36,7 @@ from prgbd.plugins.slam.orb_gtsam.mapping.threaded_backend import ThreadedBacken
 from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.tracking.front_end import FrontEnd
-from prgbd.plugins.slam.orb_gtsam.tracking.initializer import DepthInitializer, Initializer
+from prgbd.plugins.slam.orb_gtsam.tracking.initializer import DepthInitializer, Initializer, keypoints_to_start
 from prgbd.plugins.slam.orb_gtsam.tracking.relocalisation import Relocaliser
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 from prgbd.plugins.slam.orb_gtsam.tracking.tracker import Tracker
@@ -86,15 +86,16 @@ class OrbGtsamSLAM(GeometricSLAM):
             raise ConfigError(f"The frame rate must be positive, got {fps}; set data.fps.")
         self.close()
         announce_compilation()
+        options = self.settings.optimisation
         self._given, self._mode = camera, mode
-        self._reader = FrameReader(self.settings, camera, mode)
+        self._reader = FrameReader(self.settings.features, camera, mode)
         self._running = RunningBaseline() if running else None
         self._camera = self._camera_model(camera, mode, float(baseline or 0.0))
         extractor = self._reader.left
         self._map = Map(extractor.capacity, extractor.columns * extractor.rows, self._camera.scales)
-        self._covisibility = CovisibilityGraph(self._map, self.settings.covisible_weight)
-        self._solver = make_solver(self.settings.full_ba_backend)
-        self._adjuster = MapAdjuster(self.settings, self._camera, self._map, self._covisibility, self._solver)
+        self._covisibility = CovisibilityGraph(self._map)
+        self._solver = make_solver(options.solver)
+        self._adjuster = MapAdjuster(options, self._camera, self._map, self._covisibility, self._solver)
         self._watch = Stopwatch()
         self._database = KeyframeDatabase(seed=seed)
         self._loops = LoopCloser(
@@ -111,13 +112,13 @@ class OrbGtsamSLAM(GeometricSLAM):
             mode == "mono",
             0.0,
             0.0,
-            settings.scales(),
+            extractor.scales,
             extractor.columns,
             stereo=mode == "stereo",
-            noise=depth_noise(settings, pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
+            noise=depth_noise(settings.depth, pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
         )
         if mode != "mono":
-            set_baseline(model, settings, baseline)
+            set_baseline(model, settings.depth, baseline)
         return model
 
     def _make_backend(self) -> MappingBackend:
@@ -126,11 +127,11 @@ class OrbGtsamSLAM(GeometricSLAM):
         mapper = LocalMapper(settings, self._camera, self._map, self._covisibility, self._adjuster, self._watch)
         mapper.after_culling.append(self._database.remove)
         backend = (
-            ThreadedBackend(mapper, self._watch, settings.realtime_queue)
+            ThreadedBackend(mapper, self._watch, settings.mapping.queue)
             if settings.realtime
             else MappingBackend(mapper, self._watch)
         )
-        if settings.loop_closing:
+        if settings.loop_closing.enabled:
             backend.after_keyframe.append(self._close_loop)
         backend.after_keyframe.append(self._index)
         return backend
@@ -145,8 +146,8 @@ class OrbGtsamSLAM(GeometricSLAM):
 
     def _make_front_end(self, fps: float, seed: int) -> FrontEnd:
         settings, camera = self.settings, self._camera
-        creator = KeyframeCreator(camera, self._map, self._covisibility, settings.keyframe_points)
-        least = settings.keypoints_to_start(camera.pinhole.width, camera.pinhole.height)
+        creator = KeyframeCreator(camera, self._map, self._covisibility)
+        least = keypoints_to_start(self._reader.left.capacity, camera.pinhole.width, camera.pinhole.height)
         initializer: Initializer = (
             TwoViewInitializer(settings, camera, creator, self._solver, least, seed)
             if camera.mono
@@ -161,7 +162,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             self._backend.is_idle,
             self._watch,
             fps,
-            settings.takes_outliers(self._mode),
+            settings.keyframes.take_outliers(self._mode),
         )
 
     def track(self, frame: Frame) -> TrackingResult:
@@ -192,7 +193,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         """Take another virtual baseline; what was measured before follows."""
         self._backend.drain()
         with self._map.lock:
-            set_baseline(self._camera, self.settings, baseline)
+            set_baseline(self._camera, self.settings.depth, baseline)
             follow_baseline(self._map, self._camera)
 
     def view(self) -> SlamView | None:
@@ -236,12 +237,13 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._require_ready()
         self._backend.drain()
         self._backend.close()
+        options = self.settings.optimisation
         history, stats = self._front_end.history, dict[str, Any](baseline=self._camera.baseline)
-        if self.settings.full_ba and not self.settings.localise_only:
-            if self._mode in _SELF_CALIBRATED and self.settings.focal_length_sigma > 0:
+        if options.full_ba and not self.settings.localise_only:
+            if self._mode in _SELF_CALIBRATED and options.focal_length_sigma > 0:
                 with self._watch("self_calibration"):
                     stats["focal_length"] = self_calibrate(
-                        self._map, self._camera, self._solver, self.settings.focal_length_sigma
+                        self._map, self._camera, self._solver, options.focal_length_sigma
                     )
             with self._watch("full_ba"):
                 stats["full_ba"] = self._adjuster.adjust_globally()

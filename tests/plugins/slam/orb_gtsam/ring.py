@@ -16,7 +16,7 @@ from prgbd.plugins.slam.orb_gtsam.map.adjustment import MapAdjuster
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import LoopClosingOptions, Settings
 
 CAPACITY, RADIUS, LAP = 300, 20.0, 60
 CAMERA = PinholeCamera(640, 480, 400.0, 400.0, 320.0, 240.0)
@@ -66,11 +66,14 @@ class Ring:
     truth: list[np.ndarray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.settings = Settings(loop_min_interval=5)
-        self.camera = CameraModel(CAMERA, self.mono, 0.0 if self.mono else 0.1, 0.0, self.settings.scales(), COLUMNS)
+        self.settings = Settings(loop_closing=LoopClosingOptions(min_interval=5))
+        self.camera = CameraModel(
+            CAMERA, self.mono, 0.0 if self.mono else 0.1, 0.0, self.settings.features.scales(), COLUMNS
+        )
         self.map = Map(CAPACITY, COLUMNS * ROWS, self.camera.scales)
-        self.covisibility = CovisibilityGraph(self.map, self.settings.covisible_weight)
-        adjuster = MapAdjuster(self.settings, self.camera, self.map, self.covisibility, make_solver("numba"))
+        self.covisibility = CovisibilityGraph(self.map)
+        options, solver = self.settings.optimisation, make_solver("numba")
+        adjuster = MapAdjuster(options, self.camera, self.map, self.covisibility, solver)
         self.database = ExactDatabase()
         self.closer = LoopCloser(self.settings, self.camera, self.map, self.covisibility, adjuster, self.database)
         self.rng = np.random.default_rng(self.seed)

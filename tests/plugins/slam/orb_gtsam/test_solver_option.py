@@ -9,7 +9,7 @@ POSES = path(16)
 
 
 def run(solver: str):
-    with OrbGtsamSLAM(full_ba_backend=solver, keyframe_ratio=2.0, keyframe_ratio_first=2.0) as system:
+    with OrbGtsamSLAM(solver=solver, keyframes={"ratio": 2.0, "ratio_first": 2.0}) as system:
         system.reset(CAMERA, "rgbd", baseline=0.1, fps=10.0)
         for i, wTc in enumerate(POSES):
             system.track(view(i, wTc))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import AUTO, DepthOptions
 
 FloatArray = NDArray[np.float64]
 
@@ -66,17 +66,17 @@ class DepthNoise:
 PSEUDO_DEPTH = DepthNoise(relative=0.15, fallback=True)
 
 
-def depth_noise(settings: Settings, *, pseudo: bool, features: int) -> DepthNoise:
+def depth_noise(options: DepthOptions, *, pseudo: bool, features: int) -> DepthNoise:
     """Return the noise of a sensor's depth, or of ``pseudo`` depth, for so many features in a frame."""
     automatic = PSEUDO_DEPTH if pseudo else DepthNoise()
     # About half of a frame's keypoints are found in the map.
     shared = max(1.0, 0.5 * features) if pseudo else 1.0
     return DepthNoise(
-        relative=automatic.relative if settings.depth_sigma == "auto" else float(settings.depth_sigma),
-        far=settings.depth_sigma_far,
-        shared=shared if settings.depth_shared == "auto" else float(settings.depth_shared),
-        fallback=automatic.fallback if settings.depth_fallback == "auto" else bool(settings.depth_fallback),
-        border=settings.depth_border,
+        relative=automatic.relative if options.sigma == AUTO else options.sigma,
+        far=options.sigma_far,
+        shared=shared if options.shared == AUTO else options.shared,
+        fallback=automatic.fallback if options.fallback == AUTO else options.fallback,
+        border=options.border,
     )
 
 

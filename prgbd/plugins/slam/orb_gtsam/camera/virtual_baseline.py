@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.slam import adaptive_baseline
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import DepthOptions
 
 # A largest depth that grows by less leaves the baseline as it is.
 _GROWTH = 1.05
@@ -29,8 +29,8 @@ class RunningBaseline:
         return True
 
 
-def set_baseline(camera: CameraModel, settings: Settings, baseline: float) -> None:
+def set_baseline(camera: CameraModel, options: DepthOptions, baseline: float) -> None:
     """Give the camera a baseline in metres, and the depths that are counted in baselines."""
     camera.baseline = baseline
-    camera.close_depth = baseline * settings.close_depth
-    camera.trusted_depth = baseline * settings.depth_trust if settings.depth_trust > 0 else np.inf
+    camera.close_depth = baseline * options.close
+    camera.trusted_depth = baseline * options.trust if options.trust > 0 else np.inf

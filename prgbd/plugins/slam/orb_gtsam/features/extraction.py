@@ -18,11 +18,13 @@ from prgbd.plugins.slam.orb_gtsam.features.feature_kernels import (
     orientations,
     select_evenly,
 )
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions
 
 # Corners keep this far from the border of their level, so that patch and descriptor lie inside it.
 EDGE = 19
 GRID_CELL = 20.0
+# ORB-SLAM2 (ORBextractor::ComputeKeyPointsOctTree): side of the FAST cells in pixels of the level.
+CELL_SIZE = 30
 
 Undistort = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.bool_]]]
 
@@ -68,24 +70,24 @@ class OrbExtractor:
     """Finds ORB features in images of one size.
 
     Args:
-        settings: Pyramid, thresholds and the number of features.
+        options: Pyramid, thresholds and the number of features.
         width: Image width, pixels.
         height: Image height, pixels.
     """
 
-    def __init__(self, settings: Settings, width: int, height: int) -> None:
-        self.settings = settings
+    def __init__(self, options: FeatureOptions, width: int, height: int) -> None:
+        self.options = options
         self.width, self.height = width, height
         self.columns = int(np.ceil(width / GRID_CELL))
         self.rows = int(np.ceil(height / GRID_CELL))
-        self.scales = settings.scales()
-        self.capacity = settings.feature_count(width, height)
+        self.scales = options.scales()
+        self.capacity = options.count_in(width, height)
         shares = 1.0 / self.scales
         self._wanted = np.floor(self.capacity * shares / shares.sum()).astype(int)
         self._wanted[-1] = self.capacity - int(self._wanted[:-1].sum())
         self._sizes = [(round(width / s), round(height / s)) for s in self.scales]
         self._orb = cv2.ORB.create(
-            nfeatures=self.capacity, nlevels=1, edgeThreshold=EDGE, patchSize=31, fastThreshold=settings.fast_threshold
+            nfeatures=self.capacity, nlevels=1, edgeThreshold=EDGE, patchSize=31, fastThreshold=options.fast_threshold
         )
         self._scores = [np.zeros((h, w), np.uint8) for w, h in self._sizes]
         # Every fourth pixel being a local maximum is more than an image can hold.
@@ -159,9 +161,9 @@ class OrbExtractor:
     def _extract_level(self, level: NDArray[np.uint8], octave: int) -> _Level:
         height, width = level.shape
         scores = self._scores[octave]
-        low, high = self.settings.fast_threshold_low, self.settings.fast_threshold
+        low, high = self.options.fast_threshold_low, self.options.fast_threshold
         fast_scores(level, low, EDGE, scores)
-        count = corners(scores, high, self.settings.cell_size, EDGE, self._xy, self._score)
+        count = corners(scores, high, CELL_SIZE, EDGE, self._xy, self._score)
         rows = select_evenly(self._xy, self._score, count, width, height, int(self._wanted[octave]))
         angle = orientations(level, self._xy, rows)
         xy = self._xy[rows].astype(np.float32)

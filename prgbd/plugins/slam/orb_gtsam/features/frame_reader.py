@@ -12,8 +12,9 @@ from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.camera.undistortion import Undistortion
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features, OrbExtractor
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_HIGH, DISTANCE_LOW
 from prgbd.plugins.slam.orb_gtsam.features.stereo_matching import match_stereo
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions
 
 _WITH_DEPTH = ("rgbd", "pseudo_rgbd")
 
@@ -22,7 +23,7 @@ class FrameReader:
     """Finds the keypoints of frames.
 
     Args:
-        settings: Thresholds.
+        options: Pyramid, thresholds and the number of features.
         camera: The camera as it is, distorted or not.
         mode: ``mono``, ``rgbd``, ``pseudo_rgbd`` or ``stereo``.
 
@@ -30,15 +31,15 @@ class FrameReader:
         ConfigError: If a stereo camera is distorted.
     """
 
-    def __init__(self, settings: Settings, camera: PinholeCamera, mode: str) -> None:
-        self.settings, self.camera, self.mode = settings, camera, mode
+    def __init__(self, options: FeatureOptions, camera: PinholeCamera, mode: str) -> None:
+        self.camera, self.mode = camera, mode
         distorted = any(camera.distortion)
         if distorted and mode == "stereo":
             raise ConfigError(
                 "Mode 'stereo' needs rectified images, but the camera has distortion; rectify them first."
             )
-        self.left = OrbExtractor(settings, camera.width, camera.height)
-        self._right = OrbExtractor(settings, camera.width, camera.height) if mode == "stereo" else None
+        self.left = OrbExtractor(options, camera.width, camera.height)
+        self._right = OrbExtractor(options, camera.width, camera.height) if mode == "stereo" else None
         self._undistort = Undistortion(camera) if distorted else None
 
     def check(self, frame: Frame) -> None:
@@ -77,7 +78,7 @@ class FrameReader:
         if self._right is None or frame.right is None:
             return features
         right = self._right.extract(frame.right, None, camera.bf)
-        limit = (self.settings.distance_high + self.settings.distance_low) // 2
+        limit = (DISTANCE_HIGH + DISTANCE_LOW) // 2
         measured, u_right = match_stereo(
             features,
             right,

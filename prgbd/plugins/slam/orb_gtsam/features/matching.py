@@ -9,6 +9,8 @@ from prgbd.plugins.slam.orb_gtsam.features.extraction import GRID_CELL, Features
 from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 
 HISTOGRAM_BINS = 30
+# ORB-SLAM2 (ORBmatcher::TH_HIGH, TH_LOW): largest Hamming distance of a match by projection, and by descriptor alone.
+DISTANCE_HIGH, DISTANCE_LOW = 100, 50
 _FAR = 1 << 20
 _NO_ANGLES = np.zeros(0, np.float32)
 

@@ -49,17 +49,15 @@ class LoopCloser:
         self.settings, self.camera, self.map = settings, camera, slam_map
         self.covisibility, self.adjuster = covisibility, adjuster
         self.loops: list[dict[str, Any]] = []
-        self._detector = LoopDetector(
-            slam_map, covisibility, database, settings.loop_consistency, settings.loop_min_interval
-        )
-        self._verifier = LoopVerifier(slam_map, camera, covisibility, settings, seed)
+        self._detector = LoopDetector(slam_map, covisibility, database, settings.loop_closing.min_interval)
+        self._verifier = LoopVerifier(slam_map, camera, covisibility, settings.loop_closing.scale, seed)
         self._closed: list[tuple[int, int]] = []
-        self._last = -settings.loop_min_interval
+        self._last = -settings.loop_closing.min_interval
 
     def process(self, k: int) -> bool:
         """Look whether keyframe ``k``, already mapped, closes a loop; close it. Returns whether the map changed."""
         kf = self.map.keyframes
-        if kf.bad[k] or k - self._last < self.settings.loop_min_interval:
+        if kf.bad[k] or k - self._last < self.settings.loop_closing.min_interval:
             return False
         start = time.perf_counter()
         loop = self._find(k)
@@ -101,22 +99,18 @@ class LoopCloser:
         """Correct the map; returns whether the rest of the map admits it."""
         slam_map, kf = self.map, self.map.keyframes
         # Only the mapper's side moves keyframes, so the graph may be solved while the tracker goes on.
-        correction = (
-            move_map(slam_map, loop)
-            if merge
-            else solve_loop(self.covisibility, loop, self._closed, self.settings.essential_weight)
-        )
+        correction = move_map(slam_map, loop) if merge else solve_loop(self.covisibility, loop, self._closed)
         if correction is None:
             return False
         with slam_map.lock:
             apply(slam_map, loop.k, correction)
             if merge:
                 slam_map.join(int(kf.map_id[loop.k]), int(kf.map_id[loop.candidate]))
-            merge_both_sides(self.camera, self.settings, self.covisibility, loop)
+            merge_both_sides(self.camera, self.covisibility, loop)
         self._closed.append((loop.k, loop.candidate))
-        if self.settings.local_ba:
+        if self.settings.optimisation.local_ba:
             self.adjuster.adjust_locally(loop.k)
-        if self.settings.loop_ba:
+        if self.settings.loop_closing.bundle_adjustment:
             self.adjuster.adjust_globally(only=int(kf.map_id[loop.k]))
         with slam_map.lock:
             self.covisibility.clear()

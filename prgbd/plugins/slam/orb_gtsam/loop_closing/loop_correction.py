@@ -13,7 +13,6 @@ from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import Correction
 from prgbd.plugins.slam.orb_gtsam.map.merging import merge_duplicates
 from prgbd.plugins.slam.orb_gtsam.optimisation.pose_graph import optimise_pose_graph
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -25,6 +24,8 @@ _EDGE_SIGMAS = (0.01, 0.05, 0.03)
 _LOOP_SIGMAS = (0.002, 0.02, 0.005)
 # A loop edge that the solution misses by this many standard deviations was refused by the robust weighting.
 _REFUSED = 6.0
+# ORB-SLAM2 (Optimizer::OptimizeEssentialGraph): common points that make an edge of the essential graph.
+ESSENTIAL_WEIGHT = 100
 # Neighbours on either side of a loop whose points are merged.
 _MERGED = 20
 
@@ -49,7 +50,7 @@ def essential_edges(covisibility: CovisibilityGraph, keyframes: IntArray, weight
 
 
 def solve_loop(
-    covisibility: CovisibilityGraph, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int
+    covisibility: CovisibilityGraph, loop: Loop, earlier_loops: list[tuple[int, int]], weight: int = ESSENTIAL_WEIGHT
 ) -> Correction | None:
     """Spread the error that a loop shows over its map by the essential graph; the map stays as it is.
 
@@ -128,7 +129,7 @@ def move_map(slam_map: Map, loop: Loop) -> Correction:
     return Correction(keyframes, inverse(loop.cTw) @ relative, np.full(len(keyframes), 1.0 / loop.scale))
 
 
-def merge_both_sides(camera: CameraModel, settings: Settings, covisibility: CovisibilityGraph, loop: Loop) -> None:
+def merge_both_sides(camera: CameraModel, covisibility: CovisibilityGraph, loop: Loop) -> None:
     """Let both sides of a loop, now in one place, see the same points; the caller holds ``Map.lock``."""
     slam_map, pts = covisibility.map, covisibility.map.points
     own = slam_map.points_of(loop.k)
@@ -144,7 +145,7 @@ def merge_both_sides(camera: CameraModel, settings: Settings, covisibility: Covi
     ours, theirs = np.setdiff1d(ours, theirs), np.setdiff1d(theirs, ours)
     for targets, sources in ((ours, theirs), (theirs, ours)):
         for target in targets.tolist():
-            merge_duplicates(slam_map, camera, settings, target, slam_map.seen_by(sources))
+            merge_duplicates(slam_map, camera, target, slam_map.seen_by(sources))
     points = slam_map.seen_by(np.concatenate([ours, theirs]))
     slam_map.refresh(points)
     covisibility.clear()

@@ -17,6 +17,8 @@ FloatArray = NDArray[np.float64]
 _GROUP, _SHARE_OF_BEST = 10, 0.75
 # Candidates that are looked at, best first: those behind them never pass the share of the best.
 _CANDIDATES = 10
+# ORB-SLAM2 (LoopClosing::mnCovisibilityConsistencyTh): keyframes in a row that must propose the same place.
+CONSISTENCY = 3
 
 
 class LoopDetector:
@@ -29,12 +31,17 @@ class LoopDetector:
         slam_map: The map.
         covisibility: Covisible keyframes.
         database: Finds keyframes by appearance.
-        consistency: Detections in a row that are needed.
         apart: Keyframes next to the new one in time that cannot be a loop.
+        consistency: Detections in a row that are needed.
     """
 
     def __init__(
-        self, slam_map: Map, covisibility: CovisibilityGraph, database: KeyframeLookup, consistency: int, apart: int
+        self,
+        slam_map: Map,
+        covisibility: CovisibilityGraph,
+        database: KeyframeLookup,
+        apart: int,
+        consistency: int = CONSISTENCY,
     ) -> None:
         self.map, self.covisibility, self.database = slam_map, covisibility, database
         self.consistency, self.apart = consistency, apart

@@ -10,19 +10,21 @@ from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
-from prgbd.plugins.slam.orb_gtsam.features.matching import match_by_descriptor, match_by_projection
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_LOW, match_by_descriptor, match_by_projection
 from prgbd.plugins.slam.orb_gtsam.geometry import sim3 as sim
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.optimisation.pose_optimisation import optimise_pose
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 # ORB-SLAM2 (ORBmatcher::SearchBySim3, SearchByProjection): search radii in pixels of the level.
 _RADIUS_PAIRS, _RADIUS_POINTS = 7.5, 10.0
+# ORB-SLAM2 (LoopClosing::ComputeSim3): ratio test between the two keyframes, inliers that their similarity needs, and
+# points around the candidate that must be found in the new keyframe.
+RATIO, MIN_INLIERS, MIN_MATCHES = 0.75, 20, 40
 # Most neighbours of the candidate whose points are looked for.
 _NEIGHBOURS = 20
 # Inliers must fall into this many of the cells (columns, rows) of the image: a sign or a window alone is no place.
@@ -65,22 +67,27 @@ class LoopVerifier:
         slam_map: The map.
         camera: The camera.
         covisibility: Covisible keyframes.
-        settings: Thresholds.
+        scale: Whether a loop corrects scale: "free", "fixed" or "auto".
         seed: Seed of RANSAC.
     """
 
     def __init__(
-        self, slam_map: Map, camera: CameraModel, covisibility: CovisibilityGraph, settings: Settings, seed: int
+        self,
+        slam_map: Map,
+        camera: CameraModel,
+        covisibility: CovisibilityGraph,
+        scale: str,
+        seed: int,
     ) -> None:
-        self.map, self.camera, self.covisibility, self.settings = slam_map, camera, covisibility, settings
-        self.seed = seed
+        self.map, self.camera, self.covisibility = slam_map, camera, covisibility
+        self.scale, self.seed = scale, seed
 
     def verify(self, k: int, candidate: int) -> Loop | None:
         """Return the loop if the two keyframes see the same place, else None."""
         matches = self._match(k, candidate)
-        if len(matches) < self.settings.loop_min_inliers:
+        if len(matches) < MIN_INLIERS:
             return None
-        chosen = self.settings.loop_scale
+        chosen = self.scale
         found = self._similarity(k, candidate, matches, free_scale=True)
         if found is None:
             return None
@@ -102,14 +109,14 @@ class LoopVerifier:
             features.descriptor[ours],
             features.angle[ours],
             _subset(self.map.features(candidate), theirs),
-            limit=self.settings.distance_low,
-            ratio=self.settings.loop_ratio,
+            limit=DISTANCE_LOW,
+            ratio=RATIO,
         )
         return np.stack([ours[found >= 0], theirs[found[found >= 0]]], axis=1)
 
     def _similarity(self, k: int, candidate: int, matches: IntArray, free_scale: bool) -> FloatArray | None:
         """Estimate ``kSc`` from matches, find more matches by it, refine it."""
-        least = self.settings.loop_min_inliers
+        least = MIN_INLIERS
         rng = np.random.default_rng([self.seed, k, candidate])
         pairs = self._correspondences(k, candidate, matches)
         found = sim.ransac(pairs, rng, free_scale=free_scale, least=least)
@@ -189,19 +196,19 @@ class LoopVerifier:
             pts.descriptor[points[inside]],
             slam_map.features(target),
             camera.columns,
-            limit=self.settings.distance_low,
+            limit=DISTANCE_LOW,
             taken=taken,
         )
         return rows[inside[found >= 0]], found[found >= 0]
 
     def _against_map(self, k: int, candidate: int, kSc: FloatArray, free_scale: bool) -> Loop | None:
         """Look for all points around the candidate, and judge by the pose that they give."""
-        slam_map, camera, settings = self.map, self.camera, self.settings
+        slam_map, camera = self.map, self.camera
         around = np.append(candidate, self.covisibility.of(candidate)[:_NEIGHBOURS])
         points = slam_map.seen_by(around)
         cTw = _rigid(kSc) @ slam_map.keyframes.cTw[candidate]
         points, rows = self._project(points, points, k, cTw, _RADIUS_POINTS, None)
-        if len(rows) < settings.loop_min_matches:
+        if len(rows) < MIN_MATCHES:
             return None
         features = slam_map.features(k)
         uvr = camera.measured(features, rows)
@@ -212,7 +219,7 @@ class LoopVerifier:
         cTw, inlier = optimise_pose(
             cTw, slam_map.points.xyz[points], uvr, weight, camera.intrinsics, depth_fallback=camera.noise.fallback
         )
-        enough = inlier.sum() >= max(settings.loop_min_matches, _LEAST_AGREEING * len(rows))
+        enough = inlier.sum() >= max(MIN_MATCHES, _LEAST_AGREEING * len(rows))
         if not enough or not self._spread(features.uv[rows[inlier]]):
             return None
         return Loop(k, candidate, cTw, sim.scale_of(kSc), rows[inlier], points[inlier], free_scale)

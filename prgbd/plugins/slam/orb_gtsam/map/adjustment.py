@@ -21,16 +21,23 @@ from prgbd.plugins.slam.orb_gtsam.map.map_correction import (
 )
 from prgbd.plugins.slam.orb_gtsam.optimisation.bundle_problem import BundleResult
 from prgbd.plugins.slam.orb_gtsam.optimisation.solver import BundleSolver
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import OptimisationOptions
 
 IntArray = NDArray[np.int64]
+
+# ORB-SLAM2 (Optimizer::LocalBundleAdjustment): iterations before and after outliers are removed. It holds every other
+# keyframe fixed that sees the points, and does not ask for convergence; here those that see most of them, until the
+# cost decreases by less than a share.
+LOCAL_ITERATIONS, FIXED_KEYFRAMES, TOLERANCE = (5, 10), 30, 1e-3
+# ORB-SLAM2 (LoopClosing::RunGlobalBundleAdjustment).
+GLOBAL_ITERATIONS = 10
 
 
 class MapAdjuster:
     """Adjusts keyframes and points of a map; solvers work on copies, and the map is locked only to read and to write.
 
     Args:
-        settings: Thresholds.
+        options: Which keyframes take part.
         camera: The camera.
         slam_map: The map.
         covisibility: Covisible keyframes.
@@ -39,13 +46,13 @@ class MapAdjuster:
 
     def __init__(
         self,
-        settings: Settings,
+        options: OptimisationOptions,
         camera: CameraModel,
         slam_map: Map,
         covisibility: CovisibilityGraph,
         solver: BundleSolver,
     ) -> None:
-        self.settings, self.camera, self.map = settings, camera, slam_map
+        self.options, self.camera, self.map = options, camera, slam_map
         self.covisibility, self.solver = covisibility, solver
 
     def adjust_locally(self, k: int) -> None:
@@ -61,8 +68,8 @@ class MapAdjuster:
         result = self.solver.refine_locally(
             bundle.problem,
             depth_fallback=self.camera.noise.fallback,
-            iterations=self.settings.local_ba_iterations,
-            tolerance=self.settings.local_ba_tolerance,
+            iterations=LOCAL_ITERATIONS,
+            tolerance=TOLERANCE,
         )
         with slam_map.steps:
             for row in np.flatnonzero(~bundle.problem.fixed).tolist():
@@ -82,7 +89,7 @@ class MapAdjuster:
         problem. With pseudo depth it stays in: the map sets its depth at first, and the network's pulls at it.
         """
         slam_map, kf = self.map, self.map.keyframes
-        local = np.append(k, self.covisibility.of(k)[: self.settings.local_ba_keyframes - 1])
+        local = np.append(k, self.covisibility.of(k)[: self.options.local_ba_keyframes - 1])
         points = slam_map.seen_by(local)
         seen = slam_map.observations(points)
         alone = (np.bincount(seen[:, 2], minlength=len(points)) == 1) & self.camera.noise.is_zero
@@ -93,7 +100,7 @@ class MapAdjuster:
         counts = np.bincount(seen[:, 0], minlength=kf.count)
         counts[local] = 0
         others = np.flatnonzero(counts)
-        others = others[np.argsort(-counts[others], kind="stable")][: self.settings.local_ba_fixed]
+        others = others[np.argsort(-counts[others], kind="stable")][:FIXED_KEYFRAMES]
         keyframes = np.concatenate([local, others])
         fixed = np.arange(len(keyframes)) >= len(local)
         fixed |= keyframes == slam_map.alive(int(kf.map_id[k]))[0]
@@ -108,18 +115,18 @@ class MapAdjuster:
         """
         chosen = self.map.map_ids() if only is None else [only]
         notes = [self._adjust_map(map_id) for map_id in chosen if len(self.map.alive(map_id)) >= 2]
-        return {"backend": self.settings.full_ba_backend, "maps": notes}
+        return {"backend": self.options.solver, "maps": notes}
 
     def _adjust_map(self, map_id: int) -> dict[str, Any]:
         slam_map, keyframes = self.map, self.map.alive(map_id)
-        if len(keyframes) > self.settings.full_ba_keyframes:
+        if len(keyframes) > self.options.full_ba_keyframes:
             return {"map": map_id, "keyframes": len(keyframes), "skipped": "more than full_ba_keyframes"}
         fixed = np.zeros(len(keyframes), np.bool_)
         # A monocular map has no scale of its own: a second fixed pose keeps it.
         fixed[: 2 if self.camera.mono else 1] = True
         with slam_map.lock:
             bundle = collect_bundle(slam_map, self.camera, keyframes, fixed, slam_map.seen_by(keyframes))
-        result = self.solver.refine_globally(bundle.problem, iterations=self.settings.full_ba_iterations)
+        result = self.solver.refine_globally(bundle.problem, iterations=GLOBAL_ITERATIONS)
         with slam_map.lock:
             self._take_globally(bundle, result)
         return {

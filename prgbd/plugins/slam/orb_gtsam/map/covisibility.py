@@ -10,6 +10,9 @@ from prgbd.plugins.slam.orb_gtsam.map.map_kernels import common_points
 
 IntArray = NDArray[np.int64]
 
+# ORB-SLAM2 (KeyFrame::UpdateConnections): common points that make two keyframes neighbours.
+LEAST_COMMON = 15
+
 
 class CovisibilityGraph:
     """Finds covisible keyframes, and remembers them between two changes of the map.
@@ -19,7 +22,7 @@ class CovisibilityGraph:
         least: Common points that make two keyframes neighbours.
     """
 
-    def __init__(self, slam_map: Map, least: int) -> None:
+    def __init__(self, slam_map: Map, least: int = LEAST_COMMON) -> None:
         self.map, self.least = slam_map, least
         self._known: dict[int, IntArray] = {}
 

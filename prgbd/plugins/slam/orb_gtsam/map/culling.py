@@ -12,19 +12,20 @@ from prgbd.plugins.slam.orb_gtsam.map.map import Map
 
 IntArray = NDArray[np.int64]
 
+# ORB-SLAM2 (LocalMapping::MapPointCulling): share of the frames that should see a new point in which it must be found.
+MIN_FOUND_RATIO = 0.25
 # A point may leave probation this many keyframes after its creation (LocalMapping::MapPointCulling).
 _PROBATION = 3
 # Keyframes after the first in which a point must have been seen often enough.
 _JUDGED_AFTER = 2
 
 
-def cull_new_points(slam_map: Map, k: int, least_found: float, *, mono: bool) -> None:
+def cull_new_points(slam_map: Map, k: int, *, mono: bool) -> None:
     """Remove points on probation that are rarely found or seldom observed (LocalMapping::MapPointCulling).
 
     Args:
         slam_map: The map.
         k: The newest keyframe.
-        least_found: Share of the frames that should see a point in which it must be found.
         mono: Whether there is no depth; with depth, an observation that has it counts twice.
     """
     pts = slam_map.points
@@ -32,7 +33,7 @@ def cull_new_points(slam_map: Map, k: int, least_found: float, *, mono: bool) ->
     kept: deque[tuple[int, IntArray]] = deque()
     for created, points in slam_map.probation:
         points = points[~pts.bad[points]]
-        bad = pts.found[points] < least_found * pts.visible[points]
+        bad = pts.found[points] < MIN_FOUND_RATIO * pts.visible[points]
         if k - created >= _JUDGED_AFTER:
             bad |= slam_map.observation_counts(points, double=not mono) <= least
         slam_map.remove_points(points[bad])

@@ -14,6 +14,8 @@ from prgbd.plugins.slam.orb_gtsam.map.map import Map
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
+# ORB-SLAM2 (Tracking::CreateNewKeyFrame): at least this many of the closest points are created with a keyframe.
+CLOSEST_LIFTED = 100
 # Fewer points do not tell the scale of a keyframe's depth.
 _LEAST_RATIOS = 20
 
@@ -25,11 +27,10 @@ class KeyframeCreator:
         camera: The camera.
         slam_map: The map.
         covisibility: Covisible keyframes, cleared with each new one.
-        least_points: At least this many of the closest points are created with a keyframe, and all that are close.
     """
 
-    def __init__(self, camera: CameraModel, slam_map: Map, covisibility: CovisibilityGraph, least_points: int) -> None:
-        self.camera, self.map, self.covisibility, self.least_points = camera, slam_map, covisibility, least_points
+    def __init__(self, camera: CameraModel, slam_map: Map, covisibility: CovisibilityGraph) -> None:
+        self.camera, self.map, self.covisibility = camera, slam_map, covisibility
 
     def add(self, frame_index: int, timestamp: float, cTw: FloatArray, features: Features, points: IntArray) -> int:
         """Add a keyframe that observes ``points`` ((N,) int64, -1 for none) and return its number."""
@@ -58,7 +59,7 @@ class KeyframeCreator:
         depth = self.map.features(k).depth
         order = np.argsort(depth, kind="stable")
         order = order[depth[order] > 0]
-        wanted = (depth[order] <= self.camera.close_depth) | (np.arange(len(order)) < self.least_points)
+        wanted = (depth[order] <= self.camera.close_depth) | (np.arange(len(order)) < CLOSEST_LIFTED)
         order = order[wanted]
         return order[self.map.points_of(k)[order] < 0]
 

@@ -207,14 +207,12 @@ def _require_fit(
     if header["mode"] != mode:
         raise ConfigError(f"The map {path} was made in mode {header['mode']}, not {mode}; set slam.mode to the same.")
     if not np.array_equal(header["scales"], camera.scales):
-        given = header["settings"]
-        raise ConfigError(
-            f"The map {path} was made with slam.levels={given['levels']} and slam.scale_factor="
-            f"{given['scale_factor']}; set the same."
-        )
+        scales = header["scales"]
+        factor = f" and slam.features.scale_factor={scales[1]:g}" if len(scales) > 1 else ""
+        raise ConfigError(f"The map {path} was made with slam.features.levels={len(scales)}{factor}; set the same.")
     most = int(arrays["keyframes.size"].max(initial=0)) if "keyframes.size" in arrays else 0
     if most > slam_map.capacity:
         raise ConfigError(
-            f"The map {path} has keyframes with {most} keypoints, more than slam.features={slam_map.capacity}; "
-            f"set slam.features={most}."
+            f"The map {path} has keyframes with {most} keypoints, more than slam.features.count={slam_map.capacity}; "
+            f"set slam.features.count={most}."
         )

@@ -6,22 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.features.matching import match_by_projection
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_LOW, match_by_projection
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 IntArray = NDArray[np.int64]
 
 _RADIUS = 3.0
 
 
-def merge_duplicates(slam_map: Map, camera: CameraModel, settings: Settings, k: int, points: IntArray) -> int:
+def merge_duplicates(slam_map: Map, camera: CameraModel, k: int, points: IntArray) -> int:
     """Project points into keyframe ``k``; where a keypoint fits, let it observe the point or merge it with its own.
 
     Args:
         slam_map: The map.
         camera: The camera.
-        settings: Thresholds.
         k: The keyframe.
         points: (P,) int64 points.
 
@@ -44,7 +42,7 @@ def merge_duplicates(slam_map: Map, camera: CameraModel, settings: Settings, k: 
         pts.descriptor[points],
         features,
         camera.columns,
-        limit=settings.distance_low,
+        limit=DISTANCE_LOW,
         slack=camera.right_slack(features.depth),
     )
     matched = found >= 0

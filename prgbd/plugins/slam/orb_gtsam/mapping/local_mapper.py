@@ -59,15 +59,15 @@ class LocalMapper:
         Raises:
             MappingStopped: If ``Map.steps`` was told to stop.
         """
-        watch, settings = self.watch, self.settings
+        watch = self.watch
         with watch("point_culling"), self.map.steps:
-            cull_new_points(self.map, k, settings.min_found_ratio, mono=self.camera.mono)
+            cull_new_points(self.map, k, mono=self.camera.mono)
         with watch("triangulation"):
             self._triangulate(k)
         with watch("merging"):
             self._merge_duplicates(k)
         self._changed()
-        if settings.local_ba and len(self._mapped(k)) > 2:
+        if self.settings.optimisation.local_ba and len(self._mapped(k)) > 2:
             with watch("local_ba"):
                 self.adjuster.adjust_locally(k)
             self._changed()
@@ -85,8 +85,7 @@ class LocalMapper:
             return self.map.alive(int(self.map.keyframes.map_id[k]))
 
     def _neighbours(self, k: int) -> IntArray:
-        count = self.settings.neighbours_mono if self.camera.mono else self.settings.neighbours
-        return self.covisibility.of(k)[:count]
+        return self.covisibility.of(k)[: self.settings.mapping.neighbours_in(mono=self.camera.mono)]
 
     def _triangulate(self, k: int) -> None:
         slam_map = self.map
@@ -95,7 +94,7 @@ class LocalMapper:
         created = [np.zeros(0, np.int64)]
         for n in neighbours:
             with slam_map.steps:
-                created.append(create_points(slam_map, self.camera, self.settings, k, n))
+                created.append(create_points(slam_map, self.camera, k, n))
         new = np.concatenate(created)
         if len(new):
             with slam_map.steps:
@@ -113,10 +112,10 @@ class LocalMapper:
         for target in targets:
             with slam_map.steps:
                 points = slam_map.points_of(k)
-                merge_duplicates(slam_map, self.camera, self.settings, target, points[points >= 0])
+                merge_duplicates(slam_map, self.camera, target, points[points >= 0])
         with slam_map.steps:
             if targets:
-                merge_duplicates(slam_map, self.camera, self.settings, k, slam_map.seen_by(np.array(list(targets))))
+                merge_duplicates(slam_map, self.camera, k, slam_map.seen_by(np.array(list(targets))))
             points = slam_map.points_of(k)
             slam_map.refresh(points[points >= 0])
 
@@ -135,7 +134,7 @@ class LocalMapper:
     def _cull_if_redundant(self, candidate: int) -> None:
         slam_map = self.map
         close = 0.0 if self.camera.mono else self.camera.close_depth
-        if not is_redundant(slam_map, candidate, self.settings.redundancy, close):
+        if not is_redundant(slam_map, candidate, self.settings.mapping.redundancy, close):
             return
         parents = self.covisibility.ranked(candidate, 1)[0]
         parents = parents[parents != candidate]

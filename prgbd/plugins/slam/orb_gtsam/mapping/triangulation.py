@@ -8,22 +8,24 @@ from numpy.typing import NDArray
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.epipolar_matching import match_along_epipolar_lines, search_segments
 from prgbd.plugins.slam.orb_gtsam.features.extraction import GRID_CELL
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_LOW
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.geometry.triangulation_kernels import place_pairs
 from prgbd.plugins.slam.orb_gtsam.kernels import kernel
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+# ORB-SLAM2 (LocalMapping::CreateNewMapPoints): ratio test when new points are triangulated.
+RATIO = 0.6
 _LEAST_BASELINE_OF_DEPTH = 0.01
 # Partners are looked for up to this share of the depth that all but 5 % of the keyframe's points exceed.
 _NEAREST_SHARE = 0.5
 _NEAREST_PERCENTILE = 5.0
 
 
-def create_points(slam_map: Map, camera: CameraModel, settings: Settings, k: int, other: int) -> IntArray:
+def create_points(slam_map: Map, camera: CameraModel, k: int, other: int) -> IntArray:
     """Triangulate keypoints of keyframe ``k`` that have no point with those of ``other``.
 
     Returns:
@@ -36,7 +38,7 @@ def create_points(slam_map: Map, camera: CameraModel, settings: Settings, k: int
     c2Tc1 = c2Tw @ inverse(c1Tw)
     first, second = slam_map.features(k), slam_map.features(other)
     rows = np.flatnonzero(slam_map.points_of(k) < 0)
-    partners = _match(slam_map, camera, settings, k, other, rows, c2Tc1)
+    partners = _match(slam_map, camera, k, other, rows, c2Tc1)
     xyz, good = np.empty((len(rows), 3)), np.empty(len(rows), np.bool_)
     place_pairs(
         rows,
@@ -99,9 +101,7 @@ def _depth_percentile(points: np.ndarray, xyz: np.ndarray, cTw: np.ndarray, perc
     return depths[low] + (position - low) * (depths[high] - depths[low])
 
 
-def _match(
-    slam_map: Map, camera: CameraModel, settings: Settings, k: int, other: int, rows: IntArray, c2Tc1: FloatArray
-) -> IntArray:
+def _match(slam_map: Map, camera: CameraModel, k: int, other: int, rows: IntArray, c2Tc1: FloatArray) -> IntArray:
     """Match keypoints without points along epipolar lines; -1 where there is no partner."""
     tx, ty, tz = c2Tc1[:3, 3]
     cross = np.array([[0.0, -tz, ty], [tz, 0.0, -tx], [-ty, tx, 0.0]])
@@ -132,7 +132,7 @@ def _match(
         search_segments(rows, first.uv, c2Tc1, np.array(camera.intrinsics), nearest),
         epipole,
         camera.scales,
-        settings.distance_low,
-        settings.ratio_triangulation,
+        DISTANCE_LOW,
+        RATIO,
     )
     return partners

@@ -166,14 +166,14 @@ class FrontEnd:
         return needs_keyframe(
             self.map,
             self.camera,
-            self.settings,
+            self.settings.keyframes,
             frame,
             inliers,
             self.tracker.reference,
             frame.ordinal - self._last_keyframe,
             self._fps,
             outliers if unmapped else None,
-            0.0 if self._keyframe_outliers else self.settings.keyframe_held,
+            0.0 if self._keyframe_outliers else self.settings.keyframes.held,
         )
 
     def _found(self) -> None:
@@ -190,8 +190,8 @@ class FrontEnd:
             return TrackingResult(TrackingState.LOST)
         self._unknown += 1
         entered = self.tracker.last is not None  # a frame was tracked, since the start or since a map was loaded
-        small = entered and len(self.map.alive()) <= self.settings.restart_keyframes
-        begins = not self._restarting and (small or self._unknown >= self.settings.restart_after)
+        small = entered and len(self.map.alive()) <= self.settings.tracking.restart_keyframes
+        begins = not self._restarting and (small or self._unknown >= self.settings.tracking.restart_after)
         if begins or (self._restarting and not self.camera.mono):
             self._restarting = True
             self.initializer.begin_at(self._expected(frame) if entered else np.eye(4))
@@ -199,7 +199,7 @@ class FrontEnd:
 
     def _expected(self, frame: TrackedFrame) -> NDArray[np.float64]:
         """Where the camera would be had it gone on as before it was lost; the length of a gap is unknown in mono."""
-        gap = 0 if self.camera.mono or self._lost > self.settings.restart_extrapolate else self._lost
+        gap = 0 if self.camera.mono or self._lost > self.settings.tracking.restart_extrapolate else self._lost
         return self._motion_model.after(gap) @ self.tracker.last_pose()
 
     def _place(self, index: int, timestamp: float, reference: int, cTw: NDArray[np.float64]) -> None:

@@ -10,10 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
+from prgbd.plugins.slam.orb_gtsam.settings import VGA_AREA
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+# ORB-SLAM2 (Tracking::StereoInitialization): keypoints that a first frame must have at 640x480.
+_LEAST_KEYPOINTS = 500
+
+
+def keypoints_to_start(features: int, width: int, height: int) -> int:
+    """Return the number of keypoints that a first frame must have.
+
+    Args:
+        features: Keypoints that are looked for in a frame; half of them suffice.
+        width: Image width, pixels.
+        height: Image height; in images smaller than 640x480 the number shrinks with the area.
+    """
+    area = min(1.0, width * height / VGA_AREA)
+    return int(min(_LEAST_KEYPOINTS, 0.5 * features) * area)
 
 
 @dataclass(frozen=True)

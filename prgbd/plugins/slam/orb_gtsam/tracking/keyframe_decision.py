@@ -7,17 +7,19 @@ from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import KeyframeOptions
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 
 # ORB-SLAM2 (Tracking::NeedNewKeyFrame): below this share of the reference keyframe tracking is weak.
 _WEAK_SHARE = 0.25
+# The same: a keyframe has more inliers than this; close points are needed where more than this many could be created.
+MIN_INLIERS, CLOSE_UNTRACKED = 15, 70
 
 
 def needs_keyframe(
     slam_map: Map,
     camera: CameraModel,
-    settings: Settings,
+    options: KeyframeOptions,
     frame: TrackedFrame,
     inliers: int,
     reference: int,
@@ -31,7 +33,7 @@ def needs_keyframe(
     Args:
         slam_map: The map.
         camera: The camera.
-        settings: Thresholds.
+        options: Thresholds.
         frame: The tracked frame.
         inliers: Its inliers.
         reference: The keyframe that shares most points with it.
@@ -47,27 +49,27 @@ def needs_keyframe(
     counts = slam_map.observation_counts(points, double=not camera.mono)
     known = counts >= least
     expected = int(np.count_nonzero(known if doubtful is None else known & ~doubtful))
-    needs_close = not camera.mono and _needs_close_points(camera, settings, frame)
-    ratio = settings.keyframe_ratio_first if keyframes < 2 else settings.keyframe_ratio
+    needs_close = not camera.mono and _needs_close_points(camera, options.close_tracked, frame)
+    ratio = options.ratio_first if keyframes < 2 else options.ratio
     if camera.mono:
-        ratio = settings.keyframe_ratio_mono
+        ratio = options.ratio_mono
     overdue = since_last >= fps
-    mapper_is_ready = since_last >= settings.keyframe_min_interval
+    mapper_is_ready = since_last >= options.min_interval
     weak = not camera.mono and (inliers < _WEAK_SHARE * expected or needs_close)
     # A map that grows too slowly for the motion has few points that three keyframes see, so little is expected.
-    thin = camera.mono and inliers < settings.keyframe_thin_mono * len(frame.features)
+    thin = camera.mono and inliers < options.thin_mono * len(frame.features)
     # A keyframe without its frame's outliers has a fresh point in place of each, which it alone sees: found again, it
     # counts among the inliers, but not among what is expected. So the expected points alone would ask too late.
     sparse = inliers < held_share * int(np.count_nonzero(points >= 0))
     due = overdue or mapper_is_ready or weak
     wanted = inliers < ratio * expected or needs_close or thin or sparse
-    return due and wanted and inliers > settings.keyframe_min_inliers
+    return due and wanted and inliers > MIN_INLIERS
 
 
-def _needs_close_points(camera: CameraModel, settings: Settings, frame: TrackedFrame) -> bool:
+def _needs_close_points(camera: CameraModel, enough: int, frame: TrackedFrame) -> bool:
     depth = frame.features.depth
     close = (depth > 0) & (depth < camera.close_depth)
     tracked = (frame.points >= 0) & ~frame.outlier
     tracked_close = int(np.count_nonzero(close & tracked))
     untracked_close = int(np.count_nonzero(close & ~tracked))
-    return tracked_close < settings.keyframe_close_tracked and untracked_close > settings.keyframe_close_untracked
+    return tracked_close < enough and untracked_close > CLOSE_UNTRACKED

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.features.matching import match_by_descriptor, match_by_projection
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_HIGH, match_by_descriptor, match_by_projection
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 
 IntArray = NDArray[np.int64]
@@ -20,6 +19,8 @@ IntArray = NDArray[np.int64]
 _FRONTAL_COSINE = 0.998
 _FRONTAL_RADIUS = 2.5
 _OBLIQUE_RADIUS = 4.0
+# ORB-SLAM2 (Tracking::SearchLocalPoints): ratio test against the local map.
+RATIO = 0.8
 # How many of the keyframes that share points bring in their own neighbours.
 _EXPANDED = 10
 
@@ -39,23 +40,27 @@ class LocalMap:
     points: IntArray
 
 
-def local_map(
-    slam_map: Map, frame: TrackedFrame, covisibility: CovisibilityGraph, settings: Settings
-) -> LocalMap | None:
+def local_map(slam_map: Map, frame: TrackedFrame, covisibility: CovisibilityGraph, most: int) -> LocalMap | None:
     """Collect the keyframes that see the frame's points, one neighbour of each, and all their points.
+
+    Args:
+        slam_map: The map.
+        frame: The frame with matches.
+        covisibility: Covisible keyframes.
+        most: Keyframes at most.
 
     Returns:
         The local map, or None if no keyframe shares a point with the frame.
     """
     counts = covisibility.common(frame.points)
     order = np.flatnonzero(counts)
-    order = order[np.argsort(-counts[order], kind="stable")][: settings.local_keyframes]
+    order = order[np.argsort(-counts[order], kind="stable")][:most]
     if len(order) == 0:
         return None
     chosen = [int(k) for k in order]
     known = set(chosen)
     for k in chosen[:_EXPANDED]:
-        if len(chosen) >= settings.local_keyframes:
+        if len(chosen) >= most:
             break
         fresh = next((int(n) for n in covisibility.of(k)[:10] if int(n) not in known), None)
         if fresh is not None:
@@ -89,7 +94,7 @@ def match_keyframe(slam_map: Map, frame: TrackedFrame, k: int, *, limit: int, ra
 
 
 def match_local_map(
-    slam_map: Map, frame: TrackedFrame, points: IntArray, camera: CameraModel, settings: Settings, *, factor: float
+    slam_map: Map, frame: TrackedFrame, points: IntArray, camera: CameraModel, *, factor: float, gate: bool
 ) -> int:
     """Match points that the frame does not have yet by projection, and count all that should be visible.
 
@@ -98,8 +103,8 @@ def match_local_map(
         frame: The frame with a pose; gets more matches.
         points: (P,) int64 candidates.
         camera: The camera.
-        settings: Thresholds.
         factor: Multiplies the search radius.
+        gate: Whether matches must agree with the measured depth.
 
     Returns:
         Number of new matches.
@@ -117,7 +122,7 @@ def match_local_map(
     level = seen.level[inside]
     radius = np.where(seen.cosine[inside] > _FRONTAL_COSINE, _FRONTAL_RADIUS, _OBLIQUE_RADIUS) * factor
     uvr = seen.uvr[inside]
-    if not settings.stereo_gate:
+    if not gate:
         uvr[:, 2] = -1.0
     found = match_by_projection(
         uvr,
@@ -126,8 +131,8 @@ def match_local_map(
         pts.descriptor[candidates],
         frame.features,
         camera.columns,
-        limit=settings.distance_high,
-        ratio=settings.ratio_local_map,
+        limit=DISTANCE_HIGH,
+        ratio=RATIO,
         taken=frame.points >= 0,
         slack=camera.right_slack(frame.features.depth),
     )

@@ -6,14 +6,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_HIGH
 from prgbd.plugins.slam.orb_gtsam.map.keyframe_lookup import KeyframeLookup
 from prgbd.plugins.slam.orb_gtsam.tracking.local_map import match_keyframe, match_local_map
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
-from prgbd.plugins.slam.orb_gtsam.tracking.tracker import Tracker
+from prgbd.plugins.slam.orb_gtsam.tracking.tracker import MIN_INLIERS_POSE, MIN_MATCHES_REFERENCE, Tracker
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
+# ORB-SLAM2 (Tracking::Relocalization): ratio test against a candidate.
+RATIO = 0.75
 _PNP_PIXELS = 5.0
 _PNP_ITERATIONS = 300
 # Covisible keyframes whose points are looked for together with a candidate's own.
@@ -36,7 +39,7 @@ class Relocaliser:
 
     def sees(self, frame: TrackedFrame) -> bool:
         """Whether a frame has enough keypoints to be found at all; a black image does not."""
-        return len(frame.features) >= self.settings.min_inliers_recovered
+        return len(frame.features) >= self.settings.tracking.min_inliers_recovered
 
     def find(self, frame: TrackedFrame) -> int:
         """Try to find a lost frame in any map; the map it is found in becomes the current one.
@@ -55,7 +58,7 @@ class Relocaliser:
                 continue
             before = tracker.reference, tracker.recovered_at
             tracker.reference, tracker.recovered_at = k, frame.ordinal
-            inliers = tracker.from_local_map(frame, self.settings.min_inliers_recovered)
+            inliers = tracker.from_local_map(frame, self.settings.tracking.min_inliers_recovered)
             if inliers:
                 slam_map.current_map = int(slam_map.keyframes.map_id[tracker.reference])
                 return inliers
@@ -66,7 +69,7 @@ class Relocaliser:
 
     def _candidates(self, frame: TrackedFrame) -> list[int]:
         """Return where the frame was last seen and the places that look like it, in turns."""
-        slam_map, tracker, limit = self.map, self.tracker, self.settings.recovery_keyframes
+        slam_map, tracker, limit = self.map, self.tracker, self.settings.tracking.recovery_keyframes
         bad = slam_map.keyframes.bad
         recent: list[int] = []
         if tracker.reference >= 0:
@@ -87,20 +90,20 @@ class Relocaliser:
 
     def _pose_against(self, frame: TrackedFrame, k: int) -> bool:
         """Find the pose of a frame from the points of keyframe ``k`` and of those around it."""
-        slam_map, camera, settings = self.map, self.camera, self.settings
-        matches = match_keyframe(slam_map, frame, k, limit=settings.distance_high, ratio=settings.ratio_recovery)
-        if matches < settings.min_matches_reference:
+        slam_map, camera = self.map, self.camera
+        matches = match_keyframe(slam_map, frame, k, limit=DISTANCE_HIGH, ratio=RATIO)
+        if matches < MIN_MATCHES_REFERENCE:
             return False
         guess = self._pnp(frame)
-        if guess is None or frame.estimate_pose(slam_map, camera, guess) < settings.min_inliers_pose:
+        if guess is None or frame.estimate_pose(slam_map, camera, guess) < MIN_INLIERS_POSE:
             return False
         frame.drop_outliers()
         around = slam_map.seen_by(np.append(self.tracker.covisibility.of(k)[:_AROUND], k))
         for factor in _NARROWING:
-            match_local_map(slam_map, frame, around, camera, settings, factor=factor)
+            match_local_map(slam_map, frame, around, camera, factor=factor, gate=self.settings.depth.gate)
             frame.estimate_pose(slam_map, camera, frame.cTw)
             frame.drop_outliers()
-        return len(frame.matched()) >= settings.min_inliers_pose
+        return len(frame.matched()) >= MIN_INLIERS_POSE
 
     def _pnp(self, frame: TrackedFrame) -> FloatArray | None:
         """Return the pose that most of a frame's matches agree with, and forget the others."""
@@ -116,7 +119,7 @@ class Relocaliser:
             confidence=0.999,
             flags=cv2.SOLVEPNP_AP3P,
         )
-        if not ok or inliers is None or len(inliers) < self.settings.min_inliers_pose:
+        if not ok or inliers is None or len(inliers) < MIN_INLIERS_POSE:
             return None
         pose = np.eye(4)
         pose[:3, :3] = cv2.Rodrigues(rotation)[0]

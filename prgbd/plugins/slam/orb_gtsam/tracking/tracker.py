@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.features.matching import match_by_projection
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_HIGH, DISTANCE_LOW, match_by_projection
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
@@ -19,8 +19,15 @@ from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# ORB-SLAM2 (Tracking::SearchLocalPoints): wider windows just after relocalisation.
-_FACTOR_AFTER_RECOVERY = 5.0
+# ORB-SLAM2 (Tracking::TrackWithMotionModel): ratio test, search radius in pixels at the finest level, and the matches
+# below which the window is widened, then the motion model given up.
+RATIO_MOTION, WINDOW_MOTION, MIN_MATCHES_MOTION = 0.9, 15.0, 20
+# ORB-SLAM2 (Tracking::TrackReferenceKeyFrame): ratio test, and the matches that it needs.
+RATIO_REFERENCE, MIN_MATCHES_REFERENCE = 0.7, 15
+# The same: inliers needed after the first pose optimisation; and after the local map (Tracking::TrackLocalMap).
+MIN_INLIERS_POSE, MIN_INLIERS_MAP = 10, 30
+# ORB-SLAM2 (Tracking::SearchLocalPoints): wider windows with depth, and just after relocalisation.
+FACTOR_WITH_DEPTH, _FACTOR_AFTER_RECOVERY = 3.0, 5.0
 
 
 @dataclass
@@ -72,7 +79,7 @@ class Tracker:
         found = self.velocity is not None and self._from_motion(frame)
         found = found or self._from_reference(frame)
         found = found or self._from_wide_search(frame)
-        return self.from_local_map(frame, self.settings.min_inliers_map) if found else 0
+        return self.from_local_map(frame, MIN_INLIERS_MAP) if found else 0
 
     def remember(self, frame: TrackedFrame) -> None:
         """Take a tracked frame as the previous one of the next."""
@@ -88,16 +95,15 @@ class Tracker:
 
     def from_local_map(self, frame: TrackedFrame, least: int) -> int:
         """Match the local map, optimise and judge; return the inliers, 0 if there are fewer than ``least``."""
-        slam_map, settings = self.map, self.settings
-        around = local_map(slam_map, frame, self.covisibility, settings)
+        slam_map = self.map
+        around = local_map(slam_map, frame, self.covisibility, self.settings.tracking.local_keyframes)
         if around is None:
             return 0
         self.reference = around.reference
         recently = frame.ordinal - self.recovered_at < 2
-        factor = 1.0 if self.camera.mono else settings.window_local_map
-        match_local_map(
-            slam_map, frame, around.points, self.camera, settings, factor=_FACTOR_AFTER_RECOVERY if recently else factor
-        )
+        factor = 1.0 if self.camera.mono else FACTOR_WITH_DEPTH
+        factor = _FACTOR_AFTER_RECOVERY if recently else factor
+        match_local_map(slam_map, frame, around.points, self.camera, factor=factor, gate=self.settings.depth.gate)
         inliers = frame.estimate_pose(slam_map, self.camera, frame.cTw)
         good = frame.inliers()
         slam_map.points.found[frame.points[good]] += 1
@@ -107,14 +113,14 @@ class Tracker:
         before, guess = self.last_pose(), self.predicted()
         assert guess is not None
         for width in (1.0, 2.0):
-            matches = self._match_last(frame, guess, before, width * self.settings.window_motion)
-            if matches >= self.settings.min_matches_motion:
+            matches = self._match_last(frame, guess, before, width * WINDOW_MOTION)
+            if matches >= MIN_MATCHES_MOTION:
                 break
-        if matches < self.settings.min_matches_motion:
+        if matches < MIN_MATCHES_MOTION:
             return False
         inliers = frame.estimate_pose(self.map, self.camera, guess)
         frame.drop_outliers()
-        return inliers >= self.settings.min_inliers_pose
+        return inliers >= MIN_INLIERS_POSE
 
     def _match_last(self, frame: TrackedFrame, guess: FloatArray, before: FloatArray, window: float) -> int:
         """Match the previous frame's points to ``frame`` around their projections."""
@@ -128,7 +134,7 @@ class Tracker:
         rows, points, xyz = rows[front], points[front], xyz[front]
         uvr = np.full((len(rows), 3), -1.0)
         uvr[:, :2] = camera.pinhole.project(xyz)
-        if not camera.mono and self.settings.stereo_gate:
+        if not camera.mono and self.settings.depth.gate:
             uvr[:, 2] = uvr[:, 0] - camera.bf / xyz[:, 2]
         octave = last.features.octave[rows].astype(np.int64)
         ahead = (before @ inverse(guess))[2, 3]
@@ -146,8 +152,8 @@ class Tracker:
             last.features.descriptor[rows],
             frame.features,
             camera.columns,
-            limit=self.settings.distance_high,
-            ratio=self.settings.ratio_motion,
+            limit=DISTANCE_HIGH,
+            ratio=RATIO_MOTION,
             angles=last.features.angle[rows],
             slack=camera.right_slack(frame.features.depth),
         )
@@ -155,29 +161,27 @@ class Tracker:
 
     def _from_reference(self, frame: TrackedFrame) -> bool:
         """Match the reference keyframe by descriptors and start from the previous pose."""
-        slam_map, settings = self.map, self.settings
-        matches = match_keyframe(
-            slam_map, frame, self.reference, limit=settings.distance_low, ratio=settings.ratio_reference
-        )
-        if matches < settings.min_matches_reference:
+        slam_map = self.map
+        matches = match_keyframe(slam_map, frame, self.reference, limit=DISTANCE_LOW, ratio=RATIO_REFERENCE)
+        if matches < MIN_MATCHES_REFERENCE:
             return False
         inliers = frame.estimate_pose(slam_map, self.camera, self.last_pose())
         frame.drop_outliers()
-        return inliers >= settings.min_inliers_pose
+        return inliers >= MIN_INLIERS_POSE
 
     def _from_wide_search(self, frame: TrackedFrame) -> bool:
         """Match the local map of the previous frame in wide windows around predicted and previous pose."""
-        slam_map, settings = self.map, self.settings
+        slam_map, gate = self.map, self.settings.depth.gate
         guesses = [guess for guess in (self.predicted(), self.last_pose()) if guess is not None]
         points = slam_map.seen_by(np.append(self.covisibility.of(self.reference)[:10], self.reference))
         for guess in guesses:
             frame.clear()
             frame.cTw = guess
-            matches = match_local_map(slam_map, frame, points, self.camera, settings, factor=10.0)
-            if matches < settings.min_matches_motion:
+            matches = match_local_map(slam_map, frame, points, self.camera, factor=10.0, gate=gate)
+            if matches < MIN_MATCHES_MOTION:
                 continue
             inliers = frame.estimate_pose(slam_map, self.camera, guess)
             frame.drop_outliers()
-            if inliers >= max(settings.min_inliers_pose, settings.min_matches_motion):
+            if inliers >= max(MIN_INLIERS_POSE, MIN_MATCHES_MOTION):
                 return True
         return False

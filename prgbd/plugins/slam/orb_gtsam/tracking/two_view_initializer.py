@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
-from prgbd.plugins.slam.orb_gtsam.features.matching import match_by_projection
+from prgbd.plugins.slam.orb_gtsam.features.matching import DISTANCE_LOW, match_by_projection
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.geometry.two_view import TwoView, initialise_two_view
 from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
@@ -18,9 +18,13 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import Initializer, Placed, Started
 from prgbd.plugins.slam.orb_gtsam.tracking.local_map import match_local_map
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
+from prgbd.plugins.slam.orb_gtsam.tracking.tracker import MIN_INLIERS_MAP, RATIO_MOTION
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+# ORB-SLAM2 (Tracking::MonocularInitialization): keypoints of both frames, and matches between them.
+LEAST_MATCHES = 100
 
 
 class TwoViewInitializer(Initializer):
@@ -56,10 +60,10 @@ class TwoViewInitializer(Initializer):
         least_keypoints: int,
         seed: int,
     ) -> None:
-        super().__init__(creator, min(least_keypoints, settings.init_matches))
+        super().__init__(creator, min(least_keypoints, LEAST_MATCHES))
         self.settings, self.camera, self.solver, self.seed = settings, camera, solver, seed
         width, height = camera.pinhole.width, camera.pinhole.height
-        self._least_matches = min(settings.init_matches, max(50, settings.feature_count(width, height) // 10))
+        self._least_matches = min(LEAST_MATCHES, max(50, settings.features.count_in(width, height) // 10))
         self._earlier: deque[TrackedFrame] = deque(maxlen=self._REMEMBERED)
         self._firsts: deque[TrackedFrame] = deque(maxlen=self._REMEMBERED)
 
@@ -123,8 +127,8 @@ class TwoViewInitializer(Initializer):
             features.descriptor[rows],
             frame.features,
             self.camera.columns,
-            limit=self.settings.distance_low,
-            ratio=self.settings.ratio_motion,
+            limit=DISTANCE_LOW,
+            ratio=RATIO_MOTION,
             angles=features.angle[rows],
         )
         good = found >= 0
@@ -216,15 +220,15 @@ class TwoViewInitializer(Initializer):
 
     def _locate(self, frame: TrackedFrame, guess: FloatArray, points: IntArray) -> int:
         """Find the pose of an earlier frame near ``guess``; return its inliers, 0 if it is not found."""
-        slam_map, settings = self.creator.map, self.settings
+        slam_map, gate = self.creator.map, self.settings.depth.gate
         inliers = 0
         frame.clear()
         frame.cTw = guess
         for factor in (8.0, 2.0):
-            match_local_map(slam_map, frame, points, self.camera, settings, factor=factor)
+            match_local_map(slam_map, frame, points, self.camera, factor=factor, gate=gate)
             inliers = frame.estimate_pose(slam_map, self.camera, frame.cTw)
             frame.drop_outliers()
-        return inliers if inliers >= settings.min_inliers_map else 0
+        return inliers if inliers >= MIN_INLIERS_MAP else 0
 
 
 def _placed(frame: TrackedFrame, reference: int, cTw: FloatArray, inliers: int) -> Placed:

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prgbd.core.errors import ConfigError
 from prgbd.core.types import Frame, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.camera.depth_noise import PSEUDO_DEPTH, DepthNoise, depth_noise, spread_around
 from prgbd.plugins.slam.orb_gtsam.features.extraction import OrbExtractor
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import DepthOptions, FeatureOptions
 from tests.plugins.slam.orb_gtsam.pseudo_depth import WrongDepth
 from tests.plugins.slam.orb_gtsam.walls import CAMERA, error, path, view
 
@@ -67,28 +66,13 @@ def test_weights_join_the_noise_of_keypoint_and_depth() -> None:
 
 
 def test_auto_means_a_sensor_or_a_network_by_the_mode() -> None:
-    settings = Settings()
-    assert depth_noise(settings, pseudo=False, features=800) == DepthNoise()
-    network = depth_noise(settings, pseudo=True, features=800)
+    options = DepthOptions()
+    assert depth_noise(options, pseudo=False, features=800) == DepthNoise()
+    network = depth_noise(options, pseudo=True, features=800)
     assert network == replace(PSEUDO_DEPTH, shared=400.0)
-    fixed = Settings.from_options({"depth_sigma": 0.3, "depth_shared": 1, "depth_fallback": False, "depth_border": 0.2})
+    fixed = DepthOptions(sigma=0.3, shared=1, fallback=False, border=0.2)
     expected = DepthNoise(relative=0.3, shared=1.0, fallback=False, border=0.2)
     assert depth_noise(fixed, pseudo=True, features=9) == depth_noise(fixed, pseudo=False, features=9) == expected
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("depth_sigma", -0.1),
-        ("depth_sigma", "much"),
-        ("depth_shared", 0.5),
-        ("depth_fallback", "no"),
-        ("keyframe_outliers", "no"),
-    ],
-)
-def test_a_bad_value_is_named(name, value) -> None:
-    with pytest.raises(ConfigError, match=name):
-        OrbGtsamSLAM(**{name: value})
 
 
 def test_borders_are_where_depth_jumps() -> None:
@@ -102,9 +86,9 @@ def test_borders_are_where_depth_jumps() -> None:
 
 
 def test_keypoints_at_borders_make_no_stereo_observation(frames) -> None:
-    free, held = run(frames[:3], "rgbd"), run(frames[:3], "rgbd", depth_border=0.2)
+    free, held = run(frames[:3], "rgbd"), run(frames[:3], "rgbd", depth={"border": 0.2})
     assert len(held.points) > 0.5 * len(free.points)
-    extractor = OrbExtractor(Settings(), CAMERA.width, CAMERA.height)
+    extractor = OrbExtractor(FeatureOptions(), CAMERA.width, CAMERA.height)
     image, depth = frames[0].image, frames[0].depth
     every, some = extractor.extract(image, depth, 27.0), extractor.extract(image, depth, 27.0, border=0.2)
     lost = (every.u_right >= 0) & (some.u_right < 0)

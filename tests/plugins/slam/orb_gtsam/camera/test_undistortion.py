@@ -13,7 +13,7 @@ from prgbd.plugins.data._camera import Undistorter
 from prgbd.plugins.data.tum_rgbd import FAMILIES, TumRgbdSequence
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.frame_reader import FrameReader
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions
 
 # TUM RGB-D, colour camera of freiburg 1.
 FREIBURG = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
@@ -38,9 +38,9 @@ def distorted(sequence, index):
 
 def test_keypoints_lie_where_the_pinhole_camera_sees_them(sequence):
     given = replace(sequence.camera, distortion=FREIBURG)
-    settings = Settings()
-    reader = FrameReader(settings, given, "rgbd")
-    camera = CameraModel(sequence.camera, False, 0.1, 4.0, settings.scales(), reader.left.columns)
+    options = FeatureOptions()
+    reader = FrameReader(options, given, "rgbd")
+    camera = CameraModel(sequence.camera, False, 0.1, 4.0, options.scales(), reader.left.columns)
     features = reader.read(distorted(sequence, 0), camera)
     inside = (features.uv > -0.5) & (features.uv < [given.width - 0.5, given.height - 0.5])
     assert inside.all()

@@ -9,7 +9,7 @@ from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.camera.virtual_baseline import RunningBaseline, set_baseline
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import follow_baseline
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import DepthOptions, FeatureOptions
 
 
 def test_it_keeps_kittis_ratio_to_the_largest_depth_so_far():
@@ -24,13 +24,13 @@ def test_it_keeps_kittis_ratio_to_the_largest_depth_so_far():
 
 
 def test_right_columns_follow_and_keypoints_without_one_do_not():
-    camera = CameraModel(prgbd.PinholeCamera.from_fov(100, 80, 90.0), False, 0.1, 4.0, Settings().scales(), 5)
+    camera = CameraModel(prgbd.PinholeCamera.from_fov(100, 80, 90.0), False, 0.1, 4.0, FeatureOptions().scales(), 5)
     slam_map = Map(3, 20, camera.scales)
     k = slam_map.keyframes.grow(1)
     slam_map.keyframes.uv[k, :, 0] = [50.0, 60.0, 70.0]
     slam_map.keyframes.depth[k] = [2.0, 4.0, 8.0]
     slam_map.keyframes.u_right[k] = [47.5, 58.75, -1.0]
-    set_baseline(camera, Settings(depth_trust=10.0), 0.2)
+    set_baseline(camera, DepthOptions(trust=10.0), 0.2)
     follow_baseline(slam_map, camera)
     np.testing.assert_allclose(slam_map.keyframes.u_right[k], [45.0, 57.5, -1.0])
     assert (camera.close_depth, camera.trusted_depth) == (8.0, 2.0)

@@ -8,7 +8,7 @@ import pytest
 
 from prgbd.plugins.slam.orb_gtsam.features import feature_kernels as kernels
 from prgbd.plugins.slam.orb_gtsam.features.extraction import EDGE, OrbExtractor
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions
 from tests.plugins.slam.orb_gtsam.walls import CAMERA, pose, view
 
 
@@ -25,7 +25,7 @@ def gray(image) -> np.ndarray:
 
 
 def extractor(**options) -> OrbExtractor:
-    return OrbExtractor(Settings(**options), CAMERA.width, CAMERA.height)
+    return OrbExtractor(FeatureOptions(**options), CAMERA.width, CAMERA.height)
 
 
 def test_fast_scores_equal_opencv(gray) -> None:
@@ -70,14 +70,14 @@ def test_features_cover_more_of_the_image_than_opencv(image, gray) -> None:
     def covered(uv) -> int:
         return len(np.unique(np.asarray(uv, int) // 30, axis=0))
 
-    mine = extractor(features=300).extract(image, None, 0.0)
+    mine = extractor(count=300).extract(image, None, 0.0)
     plain = cv2.ORB.create(300, edgeThreshold=19).detect(gray)
     assert 200 < len(mine) <= 300
     assert covered(mine.uv) > 1.3 * covered([k.pt for k in plain])
 
 
 def test_features_are_sorted_by_cell_and_keep_their_columns_together(image) -> None:
-    made = extractor(features=400)
+    made = extractor(count=400)
     found = made.extract(image, None, 0.0)
     cell = (found.uv[:, 1] // 20).astype(int) * made.columns + (found.uv[:, 0] // 20).astype(int)
     assert (np.diff(cell) >= 0).all()
@@ -92,7 +92,7 @@ def test_a_known_shift_of_the_image_is_found_at_every_level() -> None:
     shift = 6
     wide = view(0, pose(0.0), CAMERA).image
     left, right = wide[:, shift:].copy(), wide[:, :-shift].copy()
-    made = OrbExtractor(Settings(features=500), left.shape[1], left.shape[0])
+    made = OrbExtractor(FeatureOptions(count=500), left.shape[1], left.shape[0])
     a, b = made.extract(left, None, 0.0), made.extract(right, None, 0.0)
     distance = np.bitwise_count(a.descriptor[:, None] ^ b.descriptor[None]).sum(axis=2)
     best = distance.argmin(axis=1)
@@ -121,7 +121,7 @@ def test_depth_becomes_a_column_in_the_right_image(image) -> None:
 @pytest.mark.parametrize("size", [(240, 320), (20, 20), (45, 60)])
 def test_blank_and_tiny_images_give_no_features(size) -> None:
     blank = np.full((*size, 3), 128, np.uint8)
-    found = OrbExtractor(Settings(), size[1], size[0]).extract(blank, None, 0.0)
+    found = OrbExtractor(FeatureOptions(), size[1], size[0]).extract(blank, None, 0.0)
     assert len(found) == 0
     assert found.descriptor.shape == (0, 4)
 

@@ -12,7 +12,7 @@ from prgbd.evaluation.trajectory import evaluate_trajectory
 from prgbd.loop.slam_runs import sensor_input
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.frame_reader import FrameReader
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions
 
 BASELINE = 0.2
 
@@ -23,10 +23,10 @@ def pairs():
 
 
 def read(sequence, index):
-    settings = Settings()
-    reader = FrameReader(settings, sequence.camera, "stereo")
+    options = FeatureOptions()
+    reader = FrameReader(options, sequence.camera, "stereo")
     camera = CameraModel(
-        sequence.camera, False, BASELINE, 40 * BASELINE, settings.scales(), reader.left.columns, stereo=True
+        sequence.camera, False, BASELINE, 40 * BASELINE, options.scales(), reader.left.columns, stereo=True
     )
     return reader.read(sequence.frame(index), camera), camera
 
@@ -54,10 +54,10 @@ def test_points_without_a_partner_have_no_depth(pairs):
 
 
 def test_an_unrelated_right_image_gives_hardly_any_depth(pairs):
-    settings = Settings()
-    reader = FrameReader(settings, pairs.camera, "stereo")
+    options = FeatureOptions()
+    reader = FrameReader(options, pairs.camera, "stereo")
     camera = CameraModel(
-        pairs.camera, False, BASELINE, 40 * BASELINE, settings.scales(), reader.left.columns, stereo=True
+        pairs.camera, False, BASELINE, 40 * BASELINE, options.scales(), reader.left.columns, stereo=True
     )
     noise = np.random.default_rng(0).integers(0, 256, pairs.frame(0).image.shape, np.uint8)
     assert (reader.read(replace(pairs.frame(0), right=noise), camera).depth > 0).mean() < 0.05
@@ -103,11 +103,11 @@ def test_disparities_of_kitti_agree_with_block_matching(shared_data):
     """Needs ../shared; without it ``test_depth_agrees_with_the_truth_to_a_fraction_of_a_pixel`` stands in."""
     sequence = prgbd.make_data("kitti_odometry", root=shared_data("kitti_odometry"), sequence="00", stop=21)
     dense = cv2.StereoSGBM.create(0, 128, 5, 8 * 25, 32 * 25, 1, 31, 10, 100, 2)
-    settings = Settings(features=2000)
-    reader = FrameReader(settings, sequence.camera, "stereo")
+    options = FeatureOptions(count=2000)
+    reader = FrameReader(options, sequence.camera, "stereo")
     baseline = sequence.baseline
     camera = CameraModel(
-        sequence.camera, False, baseline, 40 * baseline, settings.scales(), reader.left.columns, stereo=True
+        sequence.camera, False, baseline, 40 * baseline, options.scales(), reader.left.columns, stereo=True
     )
     for index in (0, 20):
         frame = sequence.frame(index)

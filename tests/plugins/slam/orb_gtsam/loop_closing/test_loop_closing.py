@@ -112,7 +112,7 @@ def test_similar_places_are_no_loop() -> None:
 
 def test_a_fixed_scale_refuses_what_fits_only_in_another_size() -> None:
     ring = Ring(drift=(0.004, 0.0))
-    object.__setattr__(ring.settings, "loop_scale", "fixed")
+    ring.closer._verifier.scale = "fixed"
     assert go_round(ring, range(LAP + 8)) == []
 
 

@@ -123,7 +123,7 @@ def test_an_unknown_place_becomes_a_second_map_and_both_are_kept(mapped, tmp_pat
     mode, file, first = mapped
     if mode == "mono":
         pytest.skip("the same with more frames")
-    system = begin(mode, restart_after=3)
+    system = begin(mode, tracking={"restart_after": 3})
     system.load_map(file)
     elsewhere = np.eye(4)
     elsewhere[0, 3] = 9.0
@@ -221,10 +221,10 @@ def test_what_does_not_fit_is_said_in_one_sentence(mapped, tmp_path) -> None:
         system.load_map(file)
     with pytest.raises(ConfigError, match=f"made in mode {mode}"):
         begin("mono" if mode == "rgbd" else "rgbd").load_map(file)
-    with pytest.raises(ConfigError, match=r"slam\.levels=8"):
-        begin(mode, levels=6).load_map(file)
-    with pytest.raises(ConfigError, match=r"set slam\.features="):
-        begin(mode, features=200).load_map(file)
+    with pytest.raises(ConfigError, match=r"slam\.features\.levels=8 and slam\.features\.scale_factor=1\.2;"):
+        begin(mode, features={"levels": 6}).load_map(file)
+    with pytest.raises(ConfigError, match=r"set slam\.features\.count="):
+        begin(mode, features={"count": 200}).load_map(file)
     with pytest.raises(DataError, match=r"There is no map .*absent\.npz"):
         begin(mode).load_map(tmp_path / "absent.npz")
     late = begin(mode)

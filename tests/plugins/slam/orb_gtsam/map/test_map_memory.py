@@ -13,7 +13,7 @@ from tests.plugins.slam.orb_gtsam.walls import CAMERA, path, view
 def run(quarantine: int, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, int, int]:
     """Return the positions, how many points were made, and how many rows they took."""
     monkeypatch.setattr(mapping, "_QUARANTINE", quarantine)
-    with OrbGtsamSLAM(keyframe_ratio=2.0, keyframe_ratio_first=2.0, full_ba=False) as system:
+    with OrbGtsamSLAM(keyframes={"ratio": 2.0, "ratio_first": 2.0}, optimisation={"full_ba": False}) as system:
         system.reset(CAMERA, "rgbd", baseline=0.1, fps=10.0)
         for i, wTc in enumerate(path(30)):
             system.track(view(i, wTc))

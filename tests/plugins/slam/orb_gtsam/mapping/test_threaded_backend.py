@@ -18,7 +18,7 @@ from tests.plugins.slam.orb_gtsam.walls import CAMERA, error, path, pose, view
 
 POSES = path(36)
 # Every frame that may become a keyframe becomes one, so that the mapper has work.
-EAGER = {"keyframe_ratio": 2.0, "keyframe_ratio_first": 2.0}
+EAGER = {"keyframes": {"ratio": 2.0, "ratio_first": 2.0}}
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_all_frames_are_tracked_and_all_keyframes_mapped(frames, monkeypatch, qu
         process(self, k)
 
     monkeypatch.setattr(LocalMapper, "process", remember)
-    result = run(frames, realtime_queue=queue, **EAGER)
+    result = run(frames, mapping={"queue": queue}, **EAGER)
     assert set(result.states) == {"ok"}
     truth = np.stack([POSES[i][:3, 3] for i in result.trajectory.frame_index])
     assert error(result.trajectory.positions, truth, scale=False) < 0.01
@@ -110,7 +110,7 @@ def test_finish_waits_for_the_last_keyframe(frames, monkeypatch) -> None:
         done.append(k)
 
     monkeypatch.setattr(LocalMapper, "process", slow)
-    result = run(frames[:8], realtime_queue=8, **EAGER)
+    result = run(frames[:8], mapping={"queue": 8}, **EAGER)
     assert len(done) == result.stats["keyframes_added"] - 1
 
 
@@ -124,7 +124,7 @@ def test_closing_in_the_middle_stops_the_mapper(frames, monkeypatch) -> None:
         process(self, k)
 
     monkeypatch.setattr(LocalMapper, "process", announce)
-    system = begin(realtime_queue=50, **EAGER)
+    system = begin(mapping={"queue": 50}, **EAGER)
     for frame in frames[:6]:
         system.track(frame)
     assert entered.wait(20)

@@ -9,7 +9,7 @@ from prgbd.core.types import PinholeCamera
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.extraction import Features
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.settings import KeyframeOptions
 from prgbd.plugins.slam.orb_gtsam.tracking.keyframe_decision import needs_keyframe
 from prgbd.plugins.slam.orb_gtsam.tracking.tracked_frame import TrackedFrame
 
@@ -46,9 +46,9 @@ def test_a_thin_map_gets_keyframes(inliers: int, share: float, wanted: bool) -> 
         if not k % 2:
             slam_map.add_points(k, np.arange(60), np.zeros((60, 3)))
     camera = CameraModel(PinholeCamera(640, 480, 500.0, 500.0, 320.0, 240.0), True, 0.0, 0.0, np.ones(1), 1)
-    settings = Settings(keyframe_thin_mono=share)
+    options = KeyframeOptions(thin_mono=share)
     frame = TrackedFrame(4, 0.4, 4, features())
-    assert needs_keyframe(slam_map, camera, settings, frame, inliers, 3, 1, 10.0) is wanted
+    assert needs_keyframe(slam_map, camera, options, frame, inliers, 3, 1, 10.0) is wanted
 
 
 @pytest.mark.parametrize(
@@ -68,4 +68,4 @@ def test_points_that_the_reference_alone_sees_are_expected_too(inliers: int, sha
         slam_map.add_points(k, fresh, np.zeros((len(fresh), 3)))
     camera = CameraModel(PinholeCamera(640, 480, 500.0, 500.0, 320.0, 240.0), False, 40.0, 3.2, np.ones(1), 1)
     frame = TrackedFrame(4, 0.4, 4, features())
-    assert needs_keyframe(slam_map, camera, Settings(), frame, inliers, 3, 1, 10.0, held_share=share) is wanted
+    assert needs_keyframe(slam_map, camera, KeyframeOptions(), frame, inliers, 3, 1, 10.0, held_share=share) is wanted

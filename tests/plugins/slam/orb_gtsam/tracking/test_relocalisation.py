@@ -60,7 +60,7 @@ def test_after_a_blackout_the_moved_camera_is_found_in_the_same_map(frames, mode
 
 
 def test_black_frames_neither_start_a_map_nor_cost_a_search(frames) -> None:
-    with begin(restart_after=3, restart_keyframes=99) as system:
+    with begin(tracking={"restart_after": 3, "restart_keyframes": 99}) as system:
         states_of(system, frames[:10])
         asked = []
         system._database.query = lambda *_, **__: asked.append(1)
@@ -70,7 +70,7 @@ def test_black_frames_neither_start_a_map_nor_cost_a_search(frames) -> None:
 
 
 def test_an_unknown_place_starts_a_map_once_enough_frames_showed_it(journey) -> None:
-    with begin(restart_after=5, restart_keyframes=0) as system:
+    with begin(tracking={"restart_after": 5, "restart_keyframes": 0}) as system:
         assert set(states_of(system, journey[:26])) == {"ok"}
         dark = [replace(frame, image=np.zeros_like(frame.image)) for frame in journey[26:28]]
         assert states_of(system, [*dark, *journey[28:38]]) == ["lost"] * 6 + ["ok"] * 6
@@ -84,7 +84,7 @@ def test_an_unknown_place_starts_a_map_once_enough_frames_showed_it(journey) -> 
 
 @pytest.mark.parametrize("loop_closing", [False, True])
 def test_a_lost_frame_is_found_in_an_older_map_than_the_present_one(journey, loop_closing) -> None:
-    with begin(restart_after=2, restart_keyframes=0, loop_closing=loop_closing) as system:
+    with begin(tracking={"restart_after": 2, "restart_keyframes": 0}, loop_closing={"enabled": loop_closing}) as system:
         states_of(system, journey[:40])
         slam_map = system._map
         assert slam_map.current_map == 1
@@ -99,7 +99,7 @@ def test_a_lost_frame_is_found_in_an_older_map_than_the_present_one(journey, loo
 
 def test_while_no_map_starts_each_frame_is_looked_for_in_the_old_ones(journey) -> None:
     # Nothing can start a map here, as it would take more keypoints than there are.
-    with begin(restart_after=2, restart_keyframes=0) as system:
+    with begin(tracking={"restart_after": 2, "restart_keyframes": 0}) as system:
         states_of(system, journey[:26])
         system._front_end.initializer.least_keypoints = 10_000
         assert states_of(system, journey[26:40]) == ["lost"] * 14
@@ -108,7 +108,7 @@ def test_while_no_map_starts_each_frame_is_looked_for_in_the_old_ones(journey) -
 
 
 def test_the_number_of_places_tried_is_bounded(journey) -> None:
-    with begin(recovery_keyframes=4, restart_after=99) as system:
+    with begin(tracking={"recovery_keyframes": 4, "restart_after": 99}) as system:
         states_of(system, journey[:26])
         relocaliser, tried = system._front_end.relocaliser, []
         attempt = relocaliser._pose_against
@@ -120,7 +120,7 @@ def test_the_number_of_places_tried_is_bounded(journey) -> None:
 def test_two_runs_with_losses_are_identical(journey) -> None:
     results = []
     for _ in range(2):
-        with begin(restart_after=2, restart_keyframes=0) as system:
+        with begin(tracking={"restart_after": 2, "restart_keyframes": 0}) as system:
             states_of(system, journey)
             results.append(system.finish())
     np.testing.assert_array_equal(results[0].trajectory.wTc, results[1].trajectory.wTc)

@@ -113,7 +113,7 @@ def blank(index: int) -> Frame:
 
 def test_blank_frames_are_lost_and_the_map_is_found_again(frames) -> None:
     mixed = [blank(i) if 25 <= i < 30 else frame for i, frame in enumerate(frames)]
-    result = run(mixed, restart_keyframes=0)
+    result = run(mixed, tracking={"restart_keyframes": 0})
     assert [i for i, s in enumerate(result.states) if s == TrackingState.LOST] == [25, 26, 27, 28, 29]
     assert result.stats["maps"] == 1
     assert (result.inliers[25:30] == 0).all()
@@ -123,13 +123,13 @@ def test_blank_frames_are_lost_and_the_map_is_found_again(frames) -> None:
 def test_a_jump_back_to_a_known_place_is_recovered(frames) -> None:
     poses = [*POSES, pose(0.05, 0.02, 0.01, 0.01), pose(0.07, 0.02, 0.01, 0.01)]
     jump = [view(len(POSES) + i, wTc) for i, wTc in enumerate(poses[-2:])]
-    result = run([*frames, *jump], restart_keyframes=0)
+    result = run([*frames, *jump], tracking={"restart_keyframes": 0})
     assert result.tracked_frames == len(poses)
     assert error(result.trajectory.positions, truth_of(result, poses), scale=False) < 0.01
 
 
 def test_a_young_system_that_is_lost_starts_a_new_map(frames) -> None:
-    system = OrbGtsamSLAM(restart_keyframes=5)
+    system = OrbGtsamSLAM(tracking={"restart_keyframes": 5})
     system.reset(CAMERA, "rgbd", baseline=0.1, fps=10.0)
     for frame in frames[:4]:
         system.track(frame)
@@ -170,7 +170,7 @@ def test_outliers_go_along_into_keyframes_only_if_they_may(frames, kept: bool, m
         depth[80:160, 100:200] *= 3.0 if frame.index % 3 == 2 else 1.0
         wrong.append(frame.with_depth(depth))
     # Wide windows and no gate let wrong depths become matches, as a depth camera that turns fast does.
-    result = run(wrong, keyframe_outliers=kept, stereo_gate=False, keyframe_ratio=2.0, keyframe_ratio_first=2.0)
+    result = run(wrong, keyframes={"outliers": kept, "ratio": 2.0, "ratio_first": 2.0}, depth={"gate": False})
     assert result.tracked_frames == 12
     assert len(refuted) > 6
     assert (max(refuted) > 10) == kept
@@ -204,10 +204,10 @@ def test_wrong_order_and_wrong_frames_are_refused(frames) -> None:
 
 
 def test_depth_beyond_what_is_trusted_makes_no_stereo_observation(frames) -> None:
-    result = run(frames[:12], depth_trust=30.0)  # 3 metres at a baseline of 0.1: the farther wall is beyond
+    result = run(frames[:12], depth={"trust": 30.0})  # 3 metres at a baseline of 0.1: the farther wall is beyond
     assert result.tracked_frames == 12
     assert error(result.trajectory.positions, truth_of(result, POSES), scale=False) < 0.02
-    plain, generous = run(frames[:12]), run(frames[:12], depth_trust=1000.0)
+    plain, generous = run(frames[:12]), run(frames[:12], depth={"trust": 1000.0})
     np.testing.assert_array_equal(generous.trajectory.wTc, plain.trajectory.wTc)
     assert not np.array_equal(result.trajectory.wTc, plain.trajectory.wTc)
 
