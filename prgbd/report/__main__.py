@@ -9,6 +9,14 @@ from pathlib import Path
 from rich.console import Console
 
 from prgbd.core.errors import PrgbdError
+from prgbd.report import ablation, tables
+from prgbd.report.compare import write_comparison
+from prgbd.report.labels import is_run
+from prgbd.report.page import write_report
+from prgbd.report.print_figures import write_figures
+from prgbd.report.reading import open_run
+from prgbd.report.rendering import to_rich, write_tables
+from prgbd.report.table import choose_columns
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,7 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     for folder in [None] if options.compare else options.folders:
         try:
             if folder is None:
-                written = compare(options.folders, options.out, options.columns, console)
+                compared, written = write_comparison(options.folders, options.out, options.columns)
+                for table in compared:
+                    console.print(to_rich(table))
             else:
                 written = report(folder, options.columns, options.figures, console)
             for path in written:
@@ -68,14 +78,7 @@ def report(folder: Path, columns: list[str], figures: list[str] | None, console:
         DataError: If the folder is neither a run nor a folder of runs, or the run has nothing to draw.
         ConfigError: If there is no such column or format.
     """
-    from prgbd.report import ablation, tables
-    from prgbd.report.page import write_report
-    from prgbd.report.print_figures import write_figures
-    from prgbd.report.reading import open_run
-    from prgbd.report.rendering import to_rich, write_tables
-    from prgbd.report.table import choose_columns
-
-    if not (folder / "summary.json").is_file():
+    if not is_run(folder):
         for table in choose_columns(ablation.ablation_tables(folder), columns):
             console.print(to_rich(table))
         return ablation.join(folder, columns)
@@ -86,22 +89,6 @@ def report(folder: Path, columns: list[str], figures: list[str] | None, console:
     tables.print_summary(summary, console, columns)
     tables.write_metrics_csv(summary, folder / "metrics.csv")
     return [*written, write_report(folder), *([] if figures is None else write_figures(folder, figures))]
-
-
-def compare(folders: list[Path], out: Path, columns: list[str], console: Console) -> list[Path]:
-    """Put several runs side by side and return the files that were written.
-
-    Raises:
-        DataError: If fewer than two finished runs are there.
-        ConfigError: If there is no such column.
-    """
-    from prgbd.report.compare import write_comparison
-    from prgbd.report.rendering import to_rich
-
-    tables, written = write_comparison(folders, out, columns)
-    for table in tables:
-        console.print(to_rich(table))
-    return written
 
 
 if __name__ == "__main__":

@@ -3,44 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.alignment import Alignment, fit_alignment
-from prgbd.core.types import SlamResult, Trajectory
+from prgbd.core.types import Trajectory
 from prgbd.io.trajectory_files import match_times
 from prgbd.report.drawing import BASELINE_COLOURS, loop_colours
-from prgbd.report.figures import Path3D, horizontal_axes
-from prgbd.report.interactive import Cloud
+from prgbd.report.figures import Estimate, Path3D, horizontal_axes
 from prgbd.report.reading import Run
-from prgbd.report.words import number
 
 FEWEST_POSES = 3
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What SLAM made of a recording.
-
-    Attributes:
-        label: Name of the loop or the run.
-        colour: Of its lines.
-        result: Trajectory and map.
-        ate: ATE RMSE in metres, None where it is not known.
-    """
-
-    label: str
-    colour: str
-    result: SlamResult
-    ate: float | None = None
-
-    @property
-    def title(self) -> str:
-        """The label with the error."""
-        return self.label if self.ate is None else f"{self.label}, {number(self.ate)} m"
 
 
 def ate_of(entry: dict[str, Any], name: str) -> float | None:
@@ -69,8 +45,7 @@ class AlignedSequence:
         name: Of the recording.
         reference: What everything was aligned to.
         has_truth: Whether that is the truth.
-        paths: The truth, if there is any, and the trajectories.
-        clouds: The maps.
+        paths: The truth, if there is any, and the trajectories with their maps.
         errors: Per trajectory: label, colour, frame numbers and distances from the truth; empty without truth.
         left_out: Labels of trajectories with too few poses to be aligned.
     """
@@ -79,7 +54,6 @@ class AlignedSequence:
     reference: Trajectory
     has_truth: bool
     paths: list[Path3D] = field(default_factory=list)
-    clouds: list[Cloud] = field(default_factory=list)
     errors: list[tuple[str, str, NDArray[np.int64], NDArray[np.float64]]] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
 
@@ -113,10 +87,9 @@ def aligned_sequence(name: str, found: Sequence[Estimate], truth: Trajectory | N
             out.left_out.append(estimate.label)
             continue
         transform, rows, errors = aligned
-        path = Path3D(estimate.title, trajectory.frame_index, transform.points(trajectory.positions), estimate.colour)
-        out.paths.append(path)
-        if len(points):
-            out.clouds.append(Cloud(estimate.title, transform.points(points.xyz), points.rgb))
+        mapped = replace(points, xyz=transform.points(points.xyz)) if len(points) else None
+        xyz = transform.points(trajectory.positions)
+        out.paths.append(Path3D(estimate.title, trajectory.frame_index, xyz, estimate.colour, mapped))
         if known:
             out.errors.append((estimate.label, estimate.colour, trajectory.frame_index[rows], errors))
     return out

@@ -8,7 +8,8 @@ from pathlib import Path
 from prgbd.core.errors import DataError
 from prgbd.io.files import atomic_path
 from prgbd.report.ablation import runs_table
-from prgbd.report.aligned import Estimate, aligned_sequence, ate_of
+from prgbd.report.aligned import aligned_sequence, ate_of
+from prgbd.report.figures import Estimate
 from prgbd.report.interactive import View
 from prgbd.report.joined import with_joined
 from prgbd.report.labels import configuration, find_runs, is_run, run_labels, varied

@@ -10,13 +10,14 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.types import MapPoints, SlamResult
 from prgbd.report.drawing import INK, MOST_POINTS, MUTED, STYLE, broken, legend_above, loop_colours, new_figure
+from prgbd.report.words import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHADES = ("#2f7fc8", "#e0783a", "#12998b", "#c2528b", "#7a5fd0", "#9a8032", "#5f6b7a", "#b04a3a")
 HEIGHTS = (1.8, 4.0)  # inches, of the axes of trajectories seen from above
 STRAY = 0.02  # share of a map's points on each side that a view from above need not show
 FAR = 50  # times the extent of the paths that points may lie away to be shown
@@ -37,36 +38,37 @@ class Path3D:
         label: Name in the legend.
         frames: (N,) frame numbers, ascending; a gap in them is a gap in the line.
         xyz: (N, 3) metres in the common frame.
-        colour: Any matplotlib colour.
+        colour: Any matplotlib colour; ``INK`` marks the truth.
+        map: Points in the common frame that were mapped on the way, or None.
     """
 
     label: str
     frames: NDArray[np.int64]
     xyz: NDArray[np.float64]
     colour: str = INK
+    map: MapPoints | None = None
 
 
 @dataclass(frozen=True)
-class Timeline:
-    """How tracking of one sequence went.
+class Estimate:
+    """What SLAM made of a recording.
 
     Attributes:
-        label: Name of the loop.
-        states: State of every frame.
-        inliers: (F,) inlier matches of every frame.
-        keyframes: (K,) frame numbers of the keyframes.
-        colour: Colour of the loop.
-        closures: Frames at which a loop was closed or two maps were joined.
-        found: Frames with a pose after tracking was lost.
+        label: Name of the loop or the run.
+        colour: Of its lines.
+        result: Trajectory and map.
+        ate: ATE RMSE in metres, None where it is not known.
     """
 
     label: str
-    states: list[str]
-    inliers: NDArray[np.int32]
-    keyframes: NDArray[np.int64]
     colour: str
-    closures: Sequence[int] = ()
-    found: Sequence[int] = ()
+    result: SlamResult
+    ate: float | None = None
+
+    @property
+    def title(self) -> str:
+        """The label with the error."""
+        return self.label if self.ate is None else f"{self.label}, {number(self.ate)} m"
 
 
 def horizontal_axes(wTc: NDArray[np.float64]) -> tuple[int, int]:
@@ -156,39 +158,45 @@ def error_figure(series: Sequence[tuple[str, str, NDArray[np.int64], NDArray[np.
 
 
 @matplotlib.rc_context(STYLE)
-def timeline_figure(timelines: Sequence[Timeline]) -> Figure:
-    """Draw the state and the keyframes of every frame as strips, and the inlier matches below."""
+def timeline_figure(estimates: Sequence[Estimate]) -> Figure:
+    """Draw state, keyframes, loop closures and relocalisations by frame as strips, and the inlier matches below."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
-    heights = [0.28 * len(timelines) + 0.15, 1.7]
+    heights = [0.28 * len(estimates) + 0.15, 1.7]
     figure, (top, bottom) = new_figure(sum(heights) + 1.0, 2, 1, sharex=True, height_ratios=heights)
     seen: dict[str, str] = {}
-    for row, line in enumerate(timelines):
-        colours = [STATE_COLOURS.get(state, MUTED) for state in line.states]
-        seen |= dict(zip(line.states, colours, strict=True))
+    for row, estimate in enumerate(estimates):
+        states, keyframes = list(estimate.result.states), estimate.result.keyframes.frame_index
+        colours = [STATE_COLOURS.get(state, MUTED) for state in states]
+        seen |= dict(zip(states, colours, strict=True))
         strip = np.array([[to_rgb(c) for c in colours]]) if colours else np.ones((1, 1, 3))
-        extent = (-0.5, max(len(colours), 1) - 0.5, row + 0.36, row - 0.36)
-        top.imshow(strip, aspect="auto", extent=extent, interpolation="nearest")
-        thin = min(0.9, 90 / max(len(line.keyframes), 1))  # many ticks must not hide the state
-        top.vlines(line.keyframes, row + 0.1, row + 0.36, color="white", lw=thin, alpha=0.9)
-        for marked, sign in ((line.closures, "^"), (line.found, "o")):
+        box = (-0.5, max(len(colours), 1) - 0.5, row + 0.36, row - 0.36)
+        top.imshow(strip, aspect="auto", extent=box, interpolation="nearest")
+        thin = min(0.9, 90 / max(len(keyframes), 1))  # many ticks must not hide the state
+        top.vlines(keyframes, row + 0.1, row + 0.36, color="white", lw=thin, alpha=0.9)
+        again = [i for i in range(1, len(states)) if states[i] == "ok" and states[i - 1] == "lost"]
+        for marked, sign in ((_closures(estimate.result), "^"), (again, "o")):
             if len(marked):  # an empty line has no extent, which confuses the layout
                 top.plot(marked, [row - 0.2] * len(marked), sign, color=INK, mec="white", mew=0.6, ms=6.5)
-        frames = np.arange(len(line.inliers))
-        x, y = broken(frames, frames, line.inliers)
-        bottom.plot(x, y, color=line.colour, lw=1.3, label=line.label)
-    top.set_ylim(len(timelines) - 0.5, -0.5)
-    top.set_yticks(range(len(timelines)), [line.label for line in timelines])
+        frames = np.arange(len(estimate.result.inliers))
+        x, y = broken(frames, frames, estimate.result.inliers)
+        bottom.plot(x, y, color=estimate.colour, lw=1.3, label=estimate.label)
+    top.set_ylim(len(estimates) - 0.5, -0.5)
+    top.set_yticks(range(len(estimates)), [estimate.label for estimate in estimates])
     top.grid(False)
     top.spines[:].set_visible(False)
-    top.tick_params(axis="y")
     bottom.set_ylim(bottom=0)
-    bottom.set_ylabel("inliers")
-    bottom.set_xlabel("frame")
+    bottom.set(xlabel="frame", ylabel="inliers")
     handles = [Patch(color=c, label=s.replace("_", " ")) for s, c in sorted(seen.items())]
     figure.legend(handles=handles, loc="outside upper left", ncols=4, handlelength=0.9)
     return figure
+
+
+def _closures(result: SlamResult) -> list[int]:
+    """Return the frames at which a loop was closed or two maps were joined."""
+    notes = result.stats.get("loops") if isinstance(result.stats, dict) else None
+    return [int(note["frame"]) for note in notes or [] if isinstance(note, dict) and "frame" in note]
 
 
 def loss_terms(loops: Sequence[tuple[str, dict[str, NDArray[np.float64]]]]) -> list[str]:
@@ -230,32 +238,3 @@ def _draw_loss(ax: Axes, steps: NDArray[Any], values: NDArray[np.float64], colou
         kernel = np.ones(window) / window
         values, steps = np.convolve(values, kernel, "valid"), steps[window // 2 :][: len(values) - window + 1]
     ax.plot(steps[::thin], values[::thin], color=colour, lw=1.7, label=label, marker="o" if len(values) == 1 else "")
-
-
-@matplotlib.rc_context(STYLE)
-def metric_figure(title: str, series: dict[str, list[float | None]], ordered: bool = False) -> Figure:
-    """Draw one figure over the loops.
-
-    Args:
-        title: What it is, with its unit.
-        series: One value or None per loop, by name; several names get a legend.
-        ordered: The names are steps of one quantity, and their colours are steps of one ramp.
-    """
-    figure, ax = new_figure(2.1, width=2.9 if len(series) < 3 else 3.6)
-    shades: Sequence[str] = SHADES if not ordered else loop_colours(len(series))
-    count, top = 1, 0.0
-    for i, (label, values) in enumerate(series.items()):
-        y = np.array([np.nan if v is None else v for v in values])
-        ax.plot(range(len(y)), y, "o-", color=shades[i % len(shades)], ms=5.5, label=label)
-        count, top = max(count, len(y)), max(top, float(np.nanmax(y, initial=0.0)))
-    ax.set_title(title, pad=6)
-    ax.set_xticks(range(count), [str(i) for i in range(count)])
-    ax.set_xlim(-0.3, count - 0.7)
-    ax.set_ylim(0, 1.12 * top or 1.0)
-    ax.locator_params(axis="y", nbins=5)
-    ax.set_xlabel("loop")
-    if len(series) > 2:  # so many names would cover the lines
-        ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    elif len(series) > 1:
-        ax.legend(fontsize=8)
-    return figure

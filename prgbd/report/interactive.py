@@ -13,22 +13,8 @@ from numpy.typing import NDArray
 from prgbd.report.drawing import INK, Drawing, broken
 from prgbd.report.figures import Path3D, extent
 
-MOST_POINTS = 6000  # per cloud; 9 bytes each, and as many as a phone draws while it is turned
-
-
-@dataclass(frozen=True)
-class Cloud:
-    """A map to draw.
-
-    Attributes:
-        of: Name of the path that it was made with; it is shown and hidden with it.
-        xyz: (P, 3) metres in the common frame.
-        rgb: (P, 3) uint8.
-    """
-
-    of: str
-    xyz: NDArray[np.float64]
-    rgb: NDArray[np.uint8]
+MOST_MAPS = 2
+MOST_POINTS = 6000  # per map; 9 bytes each, and as many as a phone draws while it is turned
 
 
 @dataclass(frozen=True)
@@ -37,43 +23,37 @@ class View:
 
     Attributes:
         drawing: For paper and for browsers without scripts.
-        scene: What ``static/view.js`` draws.
-        toggles: Key in the scene, label and CSS colour of each box that shows and hides.
+        scene: What ``static/view.js`` draws; each path in it has a box that shows and hides it.
     """
 
     drawing: Drawing
     scene: dict[str, Any]
-    toggles: list[tuple[str, str, str]]
 
 
-def view(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, int], unit: str, drawing: Drawing) -> View:
+def view(paths: Sequence[Path3D], axes: tuple[int, int], unit: str, drawing: Drawing) -> View:
     """Return trajectories and map for the page.
 
     Args:
-        paths: The paths; a colour of ``INK`` marks the truth.
-        clouds: Maps, each belonging to a path.
+        paths: The paths; of their maps the last ``MOST_MAPS`` are shown.
         axes: World axes to the right and up in the view from above, see ``figures.horizontal_axes``.
         unit: Unit of lengths.
         drawing: The same from above.
     """
-    shown = _scene(paths, clouds, axes, unit)
-    shades = ["var(--ink)" if path.colour == INK else path.colour for path in paths]
-    toggles = [(f"p{i}", path.label, shade) for i, (path, shade) in enumerate(zip(paths, shades, strict=True))]
-    toggles += [("points", "map points", "#8a93a3")] if shown["clouds"] else []
-    return View(drawing, shown, toggles)
+    return View(drawing, _scene(paths, axes, unit))
 
 
-def _scene(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, int], unit: str) -> dict[str, Any]:
+def _scene(paths: Sequence[Path3D], axes: tuple[int, int], unit: str) -> dict[str, Any]:
     """Turn everything to x right, y away, z up around the middle of paths and maps."""
     right, away = axes
     up = 3 - right - away
     turn = np.zeros((3, 3))
     turn[0, right] = turn[1, away] = turn[2, up] = 1
     turn[2] *= np.linalg.det(turn)  # the view is not mirrored
+    maps = [(f"p{i}", path.map) for i, path in enumerate(paths) if path.map is not None][-MOST_MAPS:]
     none = np.zeros((0, 3))
     low, high = extent(
         np.concatenate([none, *(path.xyz for path in paths)]) @ turn.T,
-        np.concatenate([none, *(cloud.xyz for cloud in clouds)]) @ turn.T,
+        np.concatenate([none, *(points.xyz for _, points in maps)]) @ turn.T,
     )
     middle, reach = (low + high) / 2, max(float((high - low).max()), 1e-6)
     digits = max(0, 4 - int(np.floor(np.log10(reach))))
@@ -81,24 +61,21 @@ def _scene(paths: Sequence[Path3D], clouds: Sequence[Cloud], axes: tuple[int, in
     for i, path in enumerate(paths):
         (line,) = broken(path.frames, path.xyz @ turn.T - middle)
         points = [None if np.isnan(p).any() else p for p in np.round(line, digits).tolist()]
-        drawn.append({"name": f"p{i}", "colour": None if path.colour == INK else path.colour, "xyz": points})
-    names = {path.label: f"p{i}" for i, path in enumerate(paths)}
-    packed = [_packed(names[cloud.of], cloud, turn, middle, reach) for cloud in clouds if cloud.of in names]
+        colour = None if path.colour == INK else path.colour  # the page's ink, which follows light and dark
+        drawn.append({"name": f"p{i}", "label": path.label, "colour": colour, "xyz": points})
+    packed = [_packed(name, points.xyz @ turn.T - middle, points.rgb, reach) for name, points in maps]
     size = [1.15 * max(float(high[k] - low[k]), 0.3 * reach) for k in (0, 1)]
     return {"unit": unit, "size": size, "paths": drawn, "clouds": [cloud for cloud in packed if cloud]}
 
 
-def _packed(
-    name: str, cloud: Cloud, turn: NDArray[np.float64], middle: NDArray[np.float64], reach: float
-) -> dict[str, Any] | None:
+def _packed(name: str, xyz: NDArray[np.float64], rgb: NDArray[np.uint8], reach: float) -> dict[str, Any] | None:
     """Points as 16-bit numbers; those far outside are left out, for they would coarsen all the others."""
-    xyz = cloud.xyz @ turn.T - middle
     near = np.flatnonzero((np.abs(xyz) < 2 * reach).all(axis=1))  # a NaN is not near
     near = near[:: max(1, -(-len(near) // MOST_POINTS))]
     if not len(near):
         return None
     unit = 2 * reach / 32767
     numbers = np.round(xyz[near] / unit).astype("<i2")
-    colours = np.ascontiguousarray(cloud.rgb[near], np.uint8)
+    colours = np.ascontiguousarray(rgb[near], np.uint8)
     packed = {"xyz": base64.b64encode(numbers.tobytes()), "rgb": base64.b64encode(colours.tobytes())}
     return {"of": name, "unit": unit, **{key: value.decode() for key, value in packed.items()}}

@@ -86,12 +86,11 @@ def paired_differences(table: Table) -> Table | None:
     labels = list(dict.fromkeys(groups.index.get_level_values(0)))
     reference = next((label for label in labels if REFERENCE in label.split(", ")), labels[0])
     figures = groups[[title for title in groups if title in table.best]].apply(pd.to_numeric, errors="coerce")
-    rows = []
+    base, rows = figures.loc[reference], []
     for label in labels:
-        differences = (figures.loc[label] - figures.loc[reference]).loc[
-            lambda found, own=label: found.index.isin(figures.loc[own].index.intersection(figures.loc[reference].index))
-        ]
-        if label != reference and len(differences) > 1:
+        shared = figures.loc[label].index.intersection(base.index)
+        if label != reference and len(shared) > 1:
+            differences = figures.loc[label].loc[shared] - base.loc[shared]
             cells = {title: _difference(differences[title], table.best[title]) for title in figures}
             rows.append({groups.index.names[0]: label, **cells})
     telling = [title for title in figures if any(row[title] != _SAME for row in rows)]  # unlike loop 0 of every loss

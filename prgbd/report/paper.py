@@ -3,61 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
+from importlib import resources
 from typing import Any
 
-METRICS = ("abs_rel", "sq_rel", "rmse", "rmse_log", "a1", "a2", "a3")
+import pandas as pd
 
-# Sequence: {system: (ATE RMSE in m or None for a tracking failure, Rel Tr in %, Rel Rot in deg/m)}
-KITTI_POSE: dict[str, dict[str, tuple[float | None, float | None, float | None]]] = {
-    "09": {
-        "RGB ORB-SLAM": (18.34, 7.42, 0.004),
-        "pRGBD-Initial": (12.21, 4.26, 0.011),
-        "pRGBD-Refined": (11.97, 4.20, 0.010),
-        "Monodepth2-M pose network": (55.47, 11.47, 0.032),
-    },
-    "10": {
-        "RGB ORB-SLAM": (8.90, 5.85, 0.004),
-        "pRGBD-Initial": (8.30, 5.55, 0.017),
-        "pRGBD-Refined": (6.35, 4.40, 0.016),
-        "Monodepth2-M pose network": (20.46, 7.73, 0.034),
-    },
-}
-TUM_POSE: dict[str, dict[str, tuple[float | None, float | None, float | None]]] = {
-    "walking_xyz": {
-        "RGB ORB-SLAM": (None, None, None),
-        "pRGBD-Initial": (0.23, None, None),
-        "pRGBD-Refined": (0.09, None, None),
-    },
-    "large_cabinet_validation": {
-        "RGB ORB-SLAM": (1.72, None, None),
-        "pRGBD-Initial": (1.40, None, None),
-        "pRGBD-Refined": (0.39, None, None),
-    },
-}
-# Data plug-in: (test set, {system: the seven metrics})
-DEPTH: dict[str, tuple[str, dict[str, tuple[float, ...]]]] = {
-    "kitti_raw": (
-        "KITTI Eigen test images",
-        {
-            "MonoDepth2-M": (0.117, 0.941, 4.889, 0.194, 0.873, 0.957, 0.980),
-            "pRGBD-Refined": (0.113, 0.793, 4.655, 0.188, 0.874, 0.960, 0.983),
-        },
-    ),
-    "kitti_odometry": (
-        "KITTI odometry 09 and 10",
-        {
-            "MonoDepth2-M": (0.123, 0.703, 4.165, 0.188, 0.854, 0.956, 0.985),
-            "pRGBD-Refined": (0.121, 0.649, 3.995, 0.184, 0.853, 0.960, 0.986),
-        },
-    ),
-    "tum_rgbd": (
-        "TUM RGB-D test sequences",
-        {
-            "MonoDepth2-M": (0.397, 0.848, 1.090, 0.719, 0.483, 0.722, 0.862),
-            "pRGBD-Refined": (0.307, 0.341, 0.743, 0.655, 0.522, 0.766, 0.873),
-        },
-    ),
-}
+from prgbd.report.depth_metrics import TITLES
+
 # KITTI Eigen after the first loop: (Sq Rel, RMSE), by the name of the loss configuration.
 ABLATION: dict[str, tuple[float, float]] = {
     "no_depth_consistency": (0.958, 4.956),
@@ -67,13 +20,22 @@ ABLATION: dict[str, tuple[float, float]] = {
 }
 
 
+@cache
+def _figures(kind: str) -> pd.DataFrame:
+    """Return the published figures of ``pose`` (metres, percent, degrees per metre) or of ``depth``."""
+    with (resources.files("prgbd.report") / "static" / f"paper_{kind}.csv").open(encoding="utf-8") as file:
+        figures = pd.read_csv(file, dtype={"recording": str}).astype(object)
+    return figures.where(figures.notna(), None)
+
+
 def published_pose(data: str | None, sequence: str) -> dict[str, tuple[float | None, float | None, float | None]]:
-    """Return the published pose figures of a sequence, empty where there are none."""
-    if data == "kitti_odometry":
-        return KITTI_POSE.get(sequence, {})
-    if data == "tum_rgbd":
-        return next((figures for name, figures in TUM_POSE.items() if sequence.endswith(name)), {})
-    return {}
+    """Return the published pose figures of a sequence by system, empty where there are none.
+
+    Each has the ATE RMSE in m (None for a tracking failure), Rel Tr in % and Rel Rot in deg/m.
+    """
+    figures = _figures("pose")
+    figures = figures[figures["data"] == data]
+    return {row[2]: row[3:] for row in figures.itertuples(index=False, name=None) if sequence.endswith(row[1])}
 
 
 def published_depth(summary: dict[str, Any]) -> tuple[str, dict[str, tuple[float, ...]]] | None:
@@ -82,11 +44,10 @@ def published_depth(summary: dict[str, Any]) -> tuple[str, dict[str, tuple[float
     The figures are those of whole test sets, so they are given only for runs that evaluate a part of them.
     """
     data, sequences = summary.get("data"), [str(s) for s in summary.get("sequences") or []]
-    if data == "kitti_odometry" and not {"09", "10"} & set(sequences):
-        return None
-    if data == "tum_rgbd" and not any(s.endswith(name) for s in sequences for name in TUM_POSE):
-        return None
-    return DEPTH.get(str(data))
+    figures = _figures("depth")
+    rows = list(figures[figures["data"] == data].itertuples(index=False, name=None))
+    tested = data == "kitti_raw" or any(published_pose(data, name) for name in sequences)
+    return (rows[0][1], {row[2]: row[3:] for row in rows}) if rows and tested else None
 
 
 def published_refinement(data: str | None, sequences: Iterable[str]) -> dict[str, float]:
@@ -109,8 +70,8 @@ def published_refinement(data: str | None, sequences: Iterable[str]) -> dict[str
             out[key] = sum(known) / len(known)
     depth = published_depth({"data": data, "sequences": names})
     if depth is not None:
-        out |= {f"{metric}_first": value for metric, value in zip(METRICS, depth[1]["MonoDepth2-M"], strict=True)}
-        out |= dict(zip(METRICS, depth[1]["pRGBD-Refined"], strict=True))
+        out |= {f"{metric}_first": value for metric, value in zip(TITLES, depth[1]["MonoDepth2-M"], strict=True)}
+        out |= dict(zip(TITLES, depth[1]["pRGBD-Refined"], strict=True))
     return out
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from prgbd.report import figures
-from prgbd.report.aligned import AlignedSequence, Estimate, aligned_sequence, estimates
+from prgbd.report.aligned import AlignedSequence, aligned_sequence, estimates
 from prgbd.report.drawing import Drawing
-from prgbd.report.figures import Timeline
+from prgbd.report.figures import Estimate
 from prgbd.report.interactive import View, view
 from prgbd.report.reading import Run
 
@@ -42,7 +42,7 @@ def sequence_parts(run: Run) -> list[SequencePart]:
 
 def _part(run: Run, name: str, found: list[Estimate]) -> SequencePart:
     drawn = aligned_sequence(name, found, run.truth(name))
-    timelines = figures.timeline_figure([_timeline(estimate) for estimate in found])
+    timelines = figures.timeline_figure(found)
     over_time = [Drawing(f"tracking of {name}", timelines, TIMELINE)]
     if drawn.errors:
         over_time.append(Drawing(f"position errors of {name}", figures.error_figure(drawn.errors), ERRORS))
@@ -52,26 +52,17 @@ def _part(run: Run, name: str, found: list[Estimate]) -> SequencePart:
 
 
 def trajectory_view(drawn: AlignedSequence, caption: str, with_map: bool = False) -> View:
-    """Return the trajectories of a sequence with the last two maps, for the page.
+    """Return the trajectories of a sequence with the last maps, for the page.
 
     Args:
         drawn: The sequence.
         caption: Words below.
         with_map: Whether the drawing from above has the last map.
     """
-    points = drawn.clouds[-1].xyz if drawn.clouds and with_map else None
-    figure = figures.trajectory_figure(drawn.paths, drawn.axes, points, drawn.unit)
+    maps = [path.map.xyz for path in drawn.paths if path.map is not None]
+    figure = figures.trajectory_figure(drawn.paths, drawn.axes, maps[-1] if maps and with_map else None, drawn.unit)
     drawing = Drawing(f"trajectories of {drawn.name} from above", figure, caption)
-    return view(drawn.paths, drawn.clouds[-2:], drawn.axes, drawn.unit, drawing)
-
-
-def _timeline(estimate: Estimate) -> Timeline:
-    result, states = estimate.result, list(estimate.result.states)
-    again = [i for i in range(1, len(states)) if states[i] == "ok" and states[i - 1] == "lost"]
-    notes = result.stats.get("loops") if isinstance(result.stats, dict) else None
-    closures = [int(note["frame"]) for note in notes or [] if isinstance(note, dict) and "frame" in note]
-    keyframes = result.keyframes.frame_index
-    return Timeline(estimate.label, states, result.inliers, keyframes, estimate.colour, closures, again)
+    return view(drawn.paths, drawn.axes, drawn.unit, drawing)
 
 
 def _caption(drawn: AlignedSequence) -> str:

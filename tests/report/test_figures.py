@@ -1,18 +1,20 @@
 import base64
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prgbd.report import drawing, figures
+from prgbd.core.types import MapPoints
+from prgbd.report import curves, drawing, figures
 from prgbd.report.drawing import INK, Drawing
-from prgbd.report.figures import Path3D, Timeline
-from prgbd.report.interactive import Cloud, view
+from prgbd.report.figures import Estimate, Path3D
+from prgbd.report.interactive import view
 from prgbd.report.pictures import UNKNOWN, depth_picture, depth_rows, error_picture, relative_error, thicken, to_jpeg
 from prgbd.report.reading import DepthSamples
-from tests.report.fake_run import true_poses
+from tests.report.fake_run import slam_result, true_poses
 
 
 def test_lines_break_where_frames_are_missing_and_keep_their_ends():
@@ -47,6 +49,7 @@ def test_the_view_is_from_above_whatever_axis_is_up(world_from_camera_convention
 def test_every_figure_renders_and_twice_the_same():
     xyz = true_poses()[:, :3, 3]
     frames = np.arange(len(xyz))
+    result = slam_result(true_poses(), frames / 10, 1.0, lost=(40, 41))
     losses = {"step": frames, "total": np.exp(-frames / 50), "photometric": np.full(150, np.nan)}
     made = [
         lambda: figures.trajectory_figure(
@@ -54,11 +57,11 @@ def test_every_figure_renders_and_twice_the_same():
         ),
         lambda: figures.trajectory_figure([Path3D("still", frames[:3], xyz[:3] * 0)], (0, 2)),
         lambda: figures.error_figure([("a", "#e0783a", frames, np.ones(150))]),
-        lambda: figures.timeline_figure([Timeline("a", ["ok"] * 150, frames, frames[::9], "#e0783a")]),
-        lambda: figures.timeline_figure([Timeline("a", [], frames[:0], frames[:0], "#e0783a")]),
+        lambda: figures.timeline_figure([Estimate("a", "#e0783a", result)]),
+        lambda: figures.timeline_figure([Estimate("a", "#e0783a", replace(result, states=[], inliers=frames[:0]))]),
         lambda: figures.loss_figure([("a", losses), ("b", losses)], "total"),
         lambda: figures.loss_figure([("a", {"total": np.ones(1)})], "total"),
-        lambda: figures.metric_figure("m", {"a": [1.0, None, 0.5], "b": [None, None, None]}),
+        lambda: curves.metric_figure("m", {"a": [1.0, None, 0.5], "b": [None, None, None]}),
     ]  # fmt: skip
     for make in made:
         svg = drawing.to_bytes(make(), "svg")
@@ -69,8 +72,8 @@ def test_every_figure_renders_and_twice_the_same():
 
 
 def test_inline_svg_follows_the_theme_and_keeps_its_references_apart():
-    text = Drawing('a "label"', figures.metric_figure("m<", {"a": [1.0, 2.0]})).svg
-    other = Drawing("b", figures.metric_figure("m<", {"a": [1.0, 2.0]})).svg
+    text = Drawing('a "label"', curves.metric_figure("m<", {"a": [1.0, 2.0]})).svg
+    other = Drawing("b", curves.metric_figure("m<", {"a": [1.0, 2.0]})).svg
     root = ET.fromstring(text)
     assert root.attrib["aria-label"] == 'a "label"'
     assert "width" not in root.attrib
@@ -165,10 +168,10 @@ def test_jpeg_is_rgb_and_no_wider_than_asked():
 
 @pytest.mark.parametrize(("reach", "kept"), [(1.0, 4), (0.1, 4), (0.001, 0)])
 def test_a_camera_that_turns_on_the_spot_keeps_its_map(reach, kept):
-    path = Path3D("loop", np.arange(2), reach * np.array([[0.0, 0, 0], [1, 0, 0]]), INK)
     points = np.array([[1.0, 0, 1], [0, 0, 1.2], [-1, 0, 1.1], [0.5, 0, 1], [0, 0, 900], [np.nan, 0, 0]])
-    cloud = Cloud("loop", points, np.zeros((6, 3), np.uint8))
-    scene = view([path], [cloud], (0, 2), "m", Drawing("map", None)).scene
+    mapped = MapPoints(points, np.zeros((6, 3), np.uint8))
+    path = Path3D("loop", np.arange(2), reach * np.array([[0.0, 0, 0], [1, 0, 0]]), INK, mapped)
+    scene = view([path], (0, 2), "m", Drawing("map", None)).scene
     found = [np.frombuffer(base64.b64decode(cloud["xyz"]), "<i2") for cloud in scene["clouds"]]
     assert sum(len(numbers) for numbers in found) == 3 * kept
 
@@ -178,10 +181,9 @@ def test_the_view_from_above_fits_the_map():
     line = np.stack([np.zeros(50), np.zeros(50), np.linspace(0, 10, 50)], axis=1)
     points = rng.uniform((-30, -2, -5), (10, 2, 15), (5000, 3))
     points[:20] = 400  # strays do not shrink the rest to a speck
-    path = Path3D("loop", np.arange(50), line, "#e0783a")
-    cloud = Cloud("loop", points, np.zeros((5000, 3), np.uint8))
+    path = Path3D("loop", np.arange(50), line, "#e0783a", MapPoints(points, np.zeros((5000, 3), np.uint8)))
     (ax,) = figures.trajectory_figure([path], (0, 2), points).axes
-    scene = view([path], [cloud], (0, 2), "m", Drawing("map", None)).scene
+    scene = view([path], (0, 2), "m", Drawing("map", None)).scene
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     assert left < -28
     assert 9 < right < 60
