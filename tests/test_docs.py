@@ -105,7 +105,7 @@ def _photograph_board(folder: Path, views: int = 12) -> None:
 
 @pytest.fixture
 def plugins(place, monkeypatch):
-    """The plug-ins that the examples call the reader's own; the network is that of the README."""
+    """The plug-ins that the examples call the reader's own; the network is that of docs/own-depth.md."""
     monkeypatch.setattr(REGISTRY, "_specs", dict(REGISTRY._specs))
     for kind, name, target in (("slam", "myslam", "Sideways"), ("data", "mydata", "Wall")):
         getattr(prgbd, f"register_{kind}")(f"lab/{name}", f"{fakes.__name__}:{target}", "")
@@ -249,8 +249,19 @@ def test_every_block_has_a_known_language():
     assert {block.language for block in BLOCKS} <= {"", "python", "bash", "sh", "yaml", "toml"}
 
 
+# The README is shown on PyPI too, so its links are absolute.
+_IN_REPOSITORY = re.compile(
+    r"https://(?:github\.com/prgbd/prgbd/(?:blob|tree)|raw\.githubusercontent\.com/prgbd/prgbd)/main/"
+)
+
+
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 def test_links_lead_somewhere(file):
     text = _FENCE.sub("", file.read_text(encoding="utf-8"))
-    for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", text):
-        assert (file.parent / target).exists(), target
+    for target in re.findall(r"\]\(([^)#]+)", text):
+        here = _IN_REPOSITORY.match(target)
+        if here:
+            assert (ROOT / target[here.end() :]).exists(), target
+        elif not target.startswith(("https://", "http://")):
+            assert (file.parent / target).exists(), target
+            assert file.name != "README.md", f"{target}: PyPI knows no files beside the README"
