@@ -150,12 +150,16 @@ def _pretraining(loop: dict[str, Any]) -> list[str]:
     before, after = training.get("held_out_before"), training.get("held_out_after")
     if before is None or after is None:
         return []
-    change = Change(float(before), float(after), "")
+    change, steps = Change(float(before), float(after), ""), f"; {training.get('steps')} steps"
+    return [_held_out(change, "Pre-training", "the loss on images", steps)]
+
+
+def _held_out(change: Change, who: str, what: str, details: str = "") -> str:
     verb = {"better": "lowered", "worse": "raised", "same": "hardly changed"}[change.verdict]
-    return [
-        f"Pre-training {verb} the loss on images that it did not learn from, which needs no labels, from "
-        f"{number(before)} to {number(after)} ({percent(change.relative)}; {training.get('steps')} steps)."
-    ]
+    return (
+        f"{who} {verb} {what} that it did not learn from, which needs no labels, from {number(change.before)} to "
+        f"{number(change.after)} ({percent(change.relative)}{details})."
+    )
 
 
 def _without_truth(loops: list[dict[str, Any]], held_out: Change | None) -> list[str]:
@@ -167,11 +171,7 @@ def _without_truth(loops: list[dict[str, Any]], held_out: Change | None) -> list
             f"SLAM with the refined network found a pose for {frames_text(last, list(last['pose']))} frames."
         )
     if held_out is not None:
-        verb = {"better": "lowered", "worse": "raised", "same": "hardly changed"}[held_out.verdict]
-        sentences.append(
-            f"The refinement {verb} its loss on keyframes that it did not learn from, which needs no labels, from "
-            f"{number(held_out.before)} to {number(held_out.after)} ({percent(held_out.relative)})."
-        )
+        sentences.append(_held_out(held_out, "The refinement", "its loss on keyframes"))
     criterion = last.get("criterion") or {}
     changes = [
         f"{name} {number(pair['before'])} → {number(pair['now'])}"
