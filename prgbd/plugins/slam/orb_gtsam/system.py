@@ -237,33 +237,42 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._require_ready()
         self._backend.drain()
         self._backend.close()
-        options = self.settings.optimisation
-        history, stats = self._front_end.history, dict[str, Any](baseline=self._camera.baseline)
-        if options.full_ba and not self.settings.localise_only:
-            if self._mode in _SELF_CALIBRATED and options.focal_length_sigma > 0:
-                with self._watch("self_calibration"):
-                    stats["focal_length"] = self_calibrate(
-                        self._map, self._camera, self._solver, options.focal_length_sigma
-                    )
-            with self._watch("full_ba"):
-                stats["full_ba"] = self._adjuster.adjust_globally()
-        stats |= asdict(self._map.counts) | self._backend.statistics()
-        stats["loops"] = self._loops.loops
-        stats["starts"] = self._front_end.initializer.starts
-        stats["stages_ms"] = self._watch.statistics()
-        stats["maps"] = len(self._map.map_ids())
-        stats["loaded_keyframes"] = loaded_keyframes(self._map)
-        stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in history.states)
-        stats |= depth_figures(self._front_end.depth_agreements)
-        if not self._camera.mono:
-            error = depth_error(self._map, self._camera)
-            stats["depth_error"] = None if error is None else asdict(error)
-        result = history.result(self._map, self._camera, stats)
+        stats: dict[str, Any] = {"baseline": self._camera.baseline} | self._adjust() | self._statistics()
+        result = self._front_end.history.result(self._map, self._camera, stats)
         stats["doubts"] = doubts_about(result, stats.get("full_ba", {}).get("maps", []))
         if stats["doubts"]:
             log.warning("The trajectory is doubtful: %s.", "; ".join(stats["doubts"]))
         self._ready = False
         return result
+
+    def _adjust(self) -> dict[str, Any]:
+        """Adjust the whole map, as far as that is wanted; return what was done."""
+        done: dict[str, Any] = {}
+        options = self.settings.optimisation
+        if not options.full_ba or self.settings.localise_only:
+            return done
+        sigma = options.focal_length_sigma
+        if self._mode in _SELF_CALIBRATED and sigma > 0:
+            with self._watch("self_calibration"):
+                done["focal_length"] = self_calibrate(self._map, self._camera, self._solver, sigma)
+        with self._watch("full_ba"):
+            done["full_ba"] = self._adjuster.adjust_globally()
+        return done
+
+    def _statistics(self) -> dict[str, Any]:
+        states = self._front_end.history.states
+        stats: dict[str, Any] = asdict(self._map.counts) | self._backend.statistics()
+        stats["loops"] = self._loops.loops
+        stats["starts"] = self._front_end.initializer.starts
+        stats["stages_ms"] = self._watch.statistics()
+        stats["maps"] = len(self._map.map_ids())
+        stats["loaded_keyframes"] = loaded_keyframes(self._map)
+        stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in states)
+        stats |= depth_figures(self._front_end.depth_agreements)
+        if not self._camera.mono:
+            error = depth_error(self._map, self._camera)
+            stats["depth_error"] = None if error is None else asdict(error)
+        return stats
 
     def close(self) -> None:
         """Stop the mapper and free the map."""

@@ -12,7 +12,7 @@ from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import Correction
 from prgbd.plugins.slam.orb_gtsam.map.merging import merge_duplicates
-from prgbd.plugins.slam.orb_gtsam.optimisation.pose_graph import optimise_pose_graph
+from prgbd.plugins.slam.orb_gtsam.optimisation.pose_graph import PoseGraphEdges, optimise_pose_graph
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -70,15 +70,9 @@ def solve_loop(
     ratio = np.ones(len(i))
     ratio[-1] = 1.0 / loop.scale
     sigmas = _sigmas(np.linalg.norm(iTj[:, :3, 3], axis=1), is_loop)
-    poses, scale = optimise_pose_graph(
-        wTc,
-        i,
-        j,
-        iTj,
-        sigmas if loop.free_scale else np.ascontiguousarray(sigmas[:, :6]),
-        scales=ratio if loop.free_scale else None,
-        robust=is_loop,
-    )
+    free = loop.free_scale
+    edges = PoseGraphEdges(i, j, iTj, sigmas if free else sigmas[:, :6], ratio if free else None, robust=is_loop)
+    poses, scale = optimise_pose_graph(wTc, edges)
     reached = inverse(poses[i[-1]]) @ poses[j[-1]]
     reached[:3, 3] /= scale[i[-1]]
     error = np.append(log_se3(inverse(iTj[-1]) @ reached), np.log(scale[j[-1]] / scale[i[-1]] / ratio[-1]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
@@ -23,92 +25,106 @@ _INLIER_PROBABILITY = 0.99
 _HEARINGS, _HEARING_ITERATIONS = 20, 10
 
 
+@dataclass(frozen=True)
+class PoseGraphEdges:
+    """Measured relative poses.
+
+    Attributes:
+        i: (E,) row of the first pose of every edge.
+        j: (E,) row of the second pose.
+        iTj: (E, 4, 4) measured pose of j seen from i, in the units of i.
+        sigmas: Standard deviations (E,), or (E, 6) as three rotations in radians and three translations, or (E, 7)
+            with the log of scale for Sim(3); or information matrices (E, 6, 6) or (E, 7, 7) in that order. Those of
+            robust edges must be honest.
+        scales: (E,) measured scale: a point p of camera j lies at ``scale * R p + t`` in camera i. None for SE(3).
+        robust: (E,) bool, edges that may be wrong; none by default.
+
+    Raises:
+        ContractError: If columns have different lengths, are not finite, or a scale is not positive.
+    """
+
+    i: IntArray
+    j: IntArray
+    iTj: FloatArray
+    sigmas: FloatArray
+    scales: FloatArray | None = None
+    robust: BoolArray | None = None
+
+    def __post_init__(self) -> None:
+        measured = [self.iTj, self.sigmas] + ([] if self.scales is None else [self.scales])
+        if any(len(column) != len(self.i) for column in (self.j, *measured)):
+            raise ContractError("A pose graph was given columns of different lengths; they need one row per edge.")
+        finite = all(np.isfinite(column).all() for column in measured)
+        if not finite or (self.scales is not None and not np.all(self.scales > 0)):
+            raise ContractError("A pose graph was given poses, sigmas or scales that are not finite or not positive.")
+
+    def __len__(self) -> int:
+        """Return the number of edges."""
+        return len(self.i)
+
+
 def optimise_pose_graph(
-    wTc: FloatArray,
-    edges_i: IntArray,
-    edges_j: IntArray,
-    iTj: FloatArray,
-    sigmas: FloatArray,
-    *,
-    robust: BoolArray | None = None,
-    fixed: int = 0,
-    scales: FloatArray | None = None,
-    iterations: int = 50,
+    wTc: FloatArray, edges: PoseGraphEdges, *, fixed: int = 0, iterations: int = 50
 ) -> tuple[FloatArray, FloatArray]:
     """Find the poses that agree best with relative poses, in SE(3), or in Sim(3) where scale drifts.
 
     Edges marked robust are weighed by graduated non-convexity with truncated least squares (Yang et al., "Graduated
     Non-Convexity for Robust Spatial Perception", RA-L 2020): unlike a fixed kernel, it lets a true loop pull a
-    far-drifted trajectory together and yet drops a false one. For that their sigmas must be honest.
+    far-drifted trajectory together and yet drops a false one.
 
     Args:
         wTc: (K, 4, 4) first guess.
-        edges_i: (E,) first pose of every edge.
-        edges_j: (E,) second pose.
-        iTj: (E, 4, 4) measured pose of j seen from i, in the units of i.
-        sigmas: Standard deviations (E,), or (E, 6) as three rotations in radians and three translations, or (E, 7)
-            with the log of scale for Sim(3); or information matrices (E, 6, 6) or (E, 7, 7) in that order.
-        robust: (E,) bool, edges that may be wrong; none by default.
+        edges: Relative poses; in Sim(3) if they have scales.
         fixed: The pose that stays.
-        scales: (E,) measured scale: a point p of camera j lies at ``scale * R p + t`` in camera i. None for SE(3).
         iterations: Most Levenberg-Marquardt iterations (of each weighting, where there are robust edges).
 
     Returns:
         The poses (K, 4, 4) and scales (K,), the scale of ``fixed`` being 1. A point p of camera k lies at
         ``scale[k] * R p + t`` in the world, so a point of the old map moves by ``wSc_new @ inverse(wTc_old)``. Scales
-        are 1 without ``scales``. Poses that no edge joins to ``fixed`` keep their place as a whole.
+        are 1 without ``edges.scales``. Poses that no edge joins to ``fixed`` keep their place as a whole.
 
     Raises:
-        ContractError: If columns have different lengths, are not finite, or an edge joins poses that do not exist.
+        ContractError: If poses are not finite, or an edge or ``fixed`` names one that does not exist.
     """
     poses = np.array(wTc, np.float64)
-    first, second = np.asarray(edges_i, np.int64), np.asarray(edges_j, np.int64)
-    measured, spread = np.asarray(iTj, np.float64), np.asarray(sigmas, np.float64)
-    ratio = None if scales is None else np.asarray(scales, np.float64)
-    _check(poses, first, second, measured, spread, ratio, fixed)
-    if len(first) == 0 or len(poses) < 2:
+    _check(poses, edges, fixed)
+    if len(edges) == 0 or len(poses) < 2:
         return poses, np.ones(len(poses))
-    graph = gtsam.NonlinearFactorGraph()
-    for e, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        noise = _noise(spread[e], 6 if ratio is None else 7)
-        if ratio is None:
-            graph.add(gtsam.BetweenFactorPose3(i, j, gtsam.Pose3(measured[e]), noise))
-        else:
-            graph.add(gtsam.BetweenFactorSimilarity3(i, j, _similarity(measured[e], float(ratio[e])), noise))
-    values = gtsam.Values()
+    similar = edges.scales is not None
+    graph, values = _edge_factors(edges), gtsam.Values()
     for k, pose in enumerate(poses):
-        values.insert(k, gtsam.Pose3(pose) if ratio is None else _similarity(pose, 1.0))
-    for k in _anchors(first, second, len(poses), fixed):
-        tight = gtsam.noiseModel.Isotropic.Sigma(6 if ratio is None else 7, _TIGHT)
-        if ratio is None:
-            graph.add(gtsam.PriorFactorPose3(k, values.atPose3(k), tight))
-        else:
+        values.insert(k, _similarity(pose, 1.0) if similar else gtsam.Pose3(pose))
+    tight = gtsam.noiseModel.Isotropic.Sigma(7 if similar else 6, _TIGHT)
+    for k in _anchors(edges.i, edges.j, len(poses), fixed):
+        if similar:
             graph.add(gtsam.PriorFactorSimilarity3(k, values.atSimilarity3(k), tight))
-    doubtful = np.zeros(len(first), np.bool_) if robust is None else np.asarray(robust, np.bool_)
-    solved = _solve(graph, values, np.flatnonzero(doubtful), iterations)
-    return _read(solved, poses, fixed, similar=ratio is not None)
+        else:
+            graph.add(gtsam.PriorFactorPose3(k, values.atPose3(k), tight))
+    doubtful = np.zeros(0, np.int64) if edges.robust is None else np.flatnonzero(edges.robust)
+    return _read(_solve(graph, values, doubtful, iterations), poses, fixed, similar=similar)
 
 
-def _check(
-    poses: FloatArray,
-    first: IntArray,
-    second: IntArray,
-    measured: FloatArray,
-    spread: FloatArray,
-    ratio: FloatArray | None,
-    fixed: int,
-) -> None:
-    count = len(first)
-    columns = [second, measured, spread] + ([] if ratio is None else [ratio])
-    if any(len(column) != count for column in columns):
-        raise ContractError("A pose graph was given columns of different lengths; they need one row per edge.")
-    if count and (min(first.min(), second.min()) < 0 or max(first.max(), second.max()) >= len(poses)):
+def _check(poses: FloatArray, edges: PoseGraphEdges, fixed: int) -> None:
+    ends = np.concatenate([edges.i, edges.j])
+    if len(ends) and (ends.min() < 0 or ends.max() >= len(poses)):
         raise ContractError("A pose graph was given an edge between poses that do not exist.")
     if len(poses) and not 0 <= fixed < len(poses):
         raise ContractError(f"A pose graph was told to hold pose {fixed}, but it has {len(poses)} poses.")
-    finite = all(np.isfinite(column).all() for column in (poses, *columns))
-    if not finite or (ratio is not None and not np.all(ratio > 0)):
+    if not np.isfinite(poses).all():
         raise ContractError("A pose graph was given poses, sigmas or scales that are not finite or not positive.")
+
+
+def _edge_factors(edges: PoseGraphEdges) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for e, (i, j) in enumerate(zip(edges.i.tolist(), edges.j.tolist(), strict=True)):
+        if edges.scales is None:
+            noise = _noise(edges.sigmas[e], 6)
+            graph.add(gtsam.BetweenFactorPose3(i, j, gtsam.Pose3(edges.iTj[e]), noise))
+        else:
+            noise = _noise(edges.sigmas[e], 7)
+            measured = _similarity(edges.iTj[e], float(edges.scales[e]))
+            graph.add(gtsam.BetweenFactorSimilarity3(i, j, measured, noise))
+    return graph
 
 
 def _noise(spread: FloatArray, dimension: int) -> gtsam.noiseModel.Base:

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from prgbd.core.errors import ContractError
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import exp_se3, inverse
-from prgbd.plugins.slam.orb_gtsam.optimisation.pose_graph import optimise_pose_graph
+from prgbd.plugins.slam.orb_gtsam.optimisation.pose_graph import PoseGraphEdges, optimise_pose_graph
 
 SIGMA = 0.002
 
@@ -35,8 +37,12 @@ class Ring:
             guess.append(guess[-1] @ self.iTj[k])
         self.guess = np.stack(guess)
 
-    def solve(self, **options):
-        return optimise_pose_graph(self.guess, self.i, self.j, self.iTj, self.sigmas, **options)
+    @property
+    def edges(self) -> PoseGraphEdges:
+        return PoseGraphEdges(self.i, self.j, self.iTj, self.sigmas)
+
+    def solve(self, *, scales=None, robust=None, **options):
+        return optimise_pose_graph(self.guess, replace(self.edges, scales=scales, robust=robust), **options)
 
     def error(self, wTc):
         return float(np.linalg.norm(wTc[:, :3, 3] - self.wTc[:, :3, 3], axis=1).max())
@@ -122,10 +128,10 @@ def test_sigmas_may_be_columns_or_information_matrices():
     expected, _ = ring.solve()
     columns = np.tile(SIGMA, (len(ring.i), 6))
     for spread in (columns, np.tile(np.eye(6) / SIGMA**2, (len(ring.i), 1, 1))):
-        wTc, _ = optimise_pose_graph(ring.guess, ring.i, ring.j, ring.iTj, spread)
+        wTc, _ = optimise_pose_graph(ring.guess, replace(ring.edges, sigmas=spread))
         np.testing.assert_allclose(wTc, expected, atol=1e-4)
     columns[:, 3:] *= 100
-    other, _ = optimise_pose_graph(ring.guess, ring.i, ring.j, ring.iTj, columns)
+    other, _ = optimise_pose_graph(ring.guess, replace(ring.edges, sigmas=columns))
     assert np.abs(other - expected).max() > 1e-3
 
 
@@ -134,20 +140,22 @@ def test_a_part_without_connection_keeps_its_place():
     apart = (ring.i != 59) | (ring.j != 60)
     moved = ring.guess.copy()
     moved[60:] = exp_se3(np.array([0, 0, 0, 5.0, 0, 0])) @ moved[60:]
-    wTc, _ = optimise_pose_graph(moved, ring.i[apart], ring.j[apart], ring.iTj[apart], ring.sigmas[apart])
+    wTc, _ = optimise_pose_graph(
+        moved, PoseGraphEdges(ring.i[apart], ring.j[apart], ring.iTj[apart], ring.sigmas[apart])
+    )
     np.testing.assert_allclose(wTc, moved, atol=1e-6)
 
 
 def test_nothing_to_do_and_bad_input():
     ring = Ring()
     none = np.zeros(0, np.int64)
-    wTc, scale = optimise_pose_graph(ring.guess, none, none, np.zeros((0, 4, 4)), np.zeros(0))
+    wTc, scale = optimise_pose_graph(ring.guess, PoseGraphEdges(none, none, np.zeros((0, 4, 4)), np.zeros(0)))
     np.testing.assert_array_equal(wTc, ring.guess)
     assert scale.shape == (len(wTc),)
     with pytest.raises(ContractError, match="lengths"):
-        optimise_pose_graph(ring.guess, ring.i, ring.j[1:], ring.iTj, ring.sigmas)
+        replace(ring.edges, j=ring.j[1:])
     with pytest.raises(ContractError, match="do not exist"):
-        optimise_pose_graph(ring.guess[:-1], ring.i, ring.j, ring.iTj, ring.sigmas)
+        optimise_pose_graph(ring.guess[:-1], ring.edges)
     with pytest.raises(ContractError, match="hold pose"):
         ring.solve(fixed=500)
     with pytest.raises(ContractError, match="positive"):
