@@ -39,7 +39,7 @@ class Cloud:
         rng = np.random.default_rng(seed)
         self.xyz = np.stack([rng.uniform(-2, 2, points), rng.uniform(-1.5, 1.5, points), rng.uniform(6, 10, points)], 1)
         self.descriptor = rng.integers(0, 2**63, (points, 4), dtype=np.int64).astype(np.uint64)
-        self.settings = Settings(**options)
+        self.settings = Settings.from_options(options)
         self.camera = CameraModel(
             CAMERA, mono, 0.0 if mono else BASELINE, CLOSE, 1.2 ** np.arange(8), COLUMNS, noise=noise or DepthNoise()
         )

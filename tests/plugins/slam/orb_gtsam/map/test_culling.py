@@ -26,7 +26,7 @@ def test_new_points_that_are_rarely_found_go() -> None:
     cloud.map.points.visible[points[:5]], cloud.map.points.found[points[:5]] = 9, 2
     cloud.map.points.visible[points[5:10]], cloud.map.points.found[points[5:10]] = 8, 2
     cloud.map.probation.append((2, points))
-    cull_new_points(cloud.map, 2, 0.25, mono=False)
+    cull_new_points(cloud.map, 2, mono=False)
     np.testing.assert_array_equal(np.flatnonzero(cloud.map.points.bad[points]), np.arange(5))
     assert cloud.map.counts.points_culled == 5
     assert len(cloud.map.probation[0][1]) == 75
@@ -38,11 +38,11 @@ def test_new_points_that_are_rarely_found_go() -> None:
 def test_points_that_few_keyframes_see_go_after_two_more(mono: bool, observations: int, kept: bool) -> None:
     cloud, points = seen_by(observations, mono=mono)
     cloud.map.probation.append((5, points))
-    cull_new_points(cloud.map, 6, 0.25, mono=mono)
+    cull_new_points(cloud.map, 6, mono=mono)
     assert not cloud.map.points.bad[points].any()
-    cull_new_points(cloud.map, 7, 0.25, mono=mono)
+    cull_new_points(cloud.map, 7, mono=mono)
     assert cloud.map.points.bad[points].all() != kept
-    cull_new_points(cloud.map, 8, 0.25, mono=mono)
+    cull_new_points(cloud.map, 8, mono=mono)
     assert not cloud.map.probation
 
 

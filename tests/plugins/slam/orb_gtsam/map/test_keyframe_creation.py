@@ -6,26 +6,28 @@ import numpy as np
 import pytest
 
 from prgbd.plugins.slam.orb_gtsam.camera.depth_noise import DepthNoise
-from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
-from tests.plugins.slam.orb_gtsam.cloud import CLOSE, Cloud, at
+from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import CLOSEST_LIFTED, KeyframeCreator
+from tests.plugins.slam.orb_gtsam.cloud import Cloud, at
 
 
-def creator(cloud: Cloud, least: int = 0) -> KeyframeCreator:
-    return KeyframeCreator(cloud.camera, cloud.map, cloud.covisibility, least)
+def creator(cloud: Cloud) -> KeyframeCreator:
+    return KeyframeCreator(cloud.camera, cloud.map, cloud.covisibility)
 
 
-def add(cloud: Cloud, cTw: np.ndarray, least: int = 0, depth_factor: float = 1.0) -> tuple[int, np.ndarray]:
-    features, shown = cloud.see(cTw, depth_factor=depth_factor)
-    return creator(cloud, least).add(7, 0.7, cTw, features, np.full(len(shown), -1, np.int64)), shown
+def add(cloud: Cloud, cTw: np.ndarray) -> tuple[int, np.ndarray]:
+    features, shown = cloud.see(cTw)
+    return creator(cloud).add(7, 0.7, cTw, features, np.full(len(shown), -1, np.int64)), shown
 
 
-@pytest.mark.parametrize("least", [0, 70])
-def test_close_keypoints_become_points_and_at_least_the_closest_ones(least: int) -> None:
-    cloud, cTw = Cloud(), at(0.3, 0.1, -0.2)
-    k, shown = add(cloud, cTw, least)
+@pytest.mark.parametrize(("close", "lifted_points"), [(7.0, CLOSEST_LIFTED), (9.8, None)], ids=["closest", "close"])
+def test_close_keypoints_become_points_and_at_least_the_closest_ones(close: float, lifted_points: int | None) -> None:
+    cloud, cTw = Cloud(160), at(0.3, 0.1, -0.2)
+    cloud.camera.close_depth = close
+    k, shown = add(cloud, cTw)
     depth = cloud.xyz[shown, 2] + 0.2
     lifted = cloud.map.points_of(k) >= 0
-    expected = depth <= max(CLOSE, np.sort(depth)[least - 1] if least else 0.0) + 1e-6
+    expected = depth <= (close if lifted_points is None else np.sort(depth)[lifted_points - 1] + 1e-6)
+    assert expected.sum() == lifted_points or (lifted_points is None and 100 < expected.sum() < 160)
     np.testing.assert_array_equal(lifted, expected)
     np.testing.assert_allclose(
         cloud.map.points.xyz[cloud.map.points_of(k)[lifted]], cloud.xyz[shown[lifted]], atol=1e-4
@@ -46,7 +48,7 @@ def test_a_first_keyframe_lifts_all_that_has_depth() -> None:
 
 def test_without_depth_nothing_is_lifted() -> None:
     cloud = Cloud(mono=True)
-    k, _ = add(cloud, at(0.0), 50)
+    k, _ = add(cloud, at(0.0))
     assert (cloud.map.points_of(k) < 0).all()
     assert not cloud.map.probation
 
@@ -58,7 +60,7 @@ def test_a_networks_depth_takes_the_scale_of_the_map_and_a_sensors_does_not(nois
     first, rows = cloud.keyframe(at(0.0))
     points = cloud.place(first, rows, np.flatnonzero(known))
     features, shown = cloud.see(at(0.0), depth_factor=1.3)
-    k = creator(cloud, 80).add(1, 0.1, at(0.0), features, points[shown])
+    k = creator(cloud).add(1, 0.1, at(0.0), features, points[shown])
     new = ~known[shown]
     found = cloud.map.points.xyz[cloud.map.points_of(k)[new]]
     np.testing.assert_allclose(found, scale * cloud.xyz[shown[new]], atol=1e-4)
@@ -66,7 +68,7 @@ def test_a_networks_depth_takes_the_scale_of_the_map_and_a_sensors_does_not(nois
 
 def test_a_new_keyframe_makes_the_covisibility_graph_forget() -> None:
     cloud = Cloud()
-    a, shown = add(cloud, at(0.0), 80)
+    a, shown = add(cloud, at(0.0))
     assert cloud.covisibility.of(a).tolist() == []
     features, again = cloud.see(at(0.1))
     by_point = np.empty(80, np.int64)

@@ -20,7 +20,7 @@ def two_views(second: np.ndarray) -> tuple[Cloud, int, np.ndarray, int, np.ndarr
 
 
 def merge(cloud: Cloud, k: int, points: np.ndarray) -> int:
-    return merge_duplicates(cloud.map, cloud.camera, cloud.settings, k, points)
+    return merge_duplicates(cloud.map, cloud.camera, k, points)
 
 
 def test_free_keypoints_observe_the_points_that_they_show() -> None:

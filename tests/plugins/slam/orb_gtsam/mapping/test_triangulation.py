@@ -22,7 +22,7 @@ def two_views(second: np.ndarray, *, mono: bool = True) -> tuple[Cloud, int, int
 
 
 def create(cloud: Cloud, k: int, other: int) -> np.ndarray:
-    return create_points(cloud.map, cloud.camera, cloud.settings, k, other)
+    return create_points(cloud.map, cloud.camera, k, other)
 
 
 @pytest.mark.parametrize("mono", [True, False])
