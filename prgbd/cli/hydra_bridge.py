@@ -70,7 +70,8 @@ def register_plugins() -> None:
                 continue
             namespace, _, name = plugin_id.rpartition("/")
             group = f"{kind}/{namespace}" if namespace else kind
-            store.store(name=name, node={"id": plugin_id}, group=group, package=kind)
+            options = default_options(REGISTRY.resolve(kind, plugin_id))
+            store.store(name=name, node={**options, "id": plugin_id}, group=group, package=kind)
 
 
 def default_options(spec: PluginSpec) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from omegaconf import OmegaConf
 from prgbd.cli.arguments import GROUPS, normalise
 from prgbd.cli.hydra_bridge import known_options, register_plugins
 from prgbd.cli.parts import LOOP_KEYS, _names
-from prgbd.core.registry import KINDS, REGISTRY
-from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.core.registry import KINDS, REGISTRY, PluginSpec
+from prgbd.plugins.slam.orb_gtsam.settings import Settings, TrackingOptions
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_settings import TERMS, RefinementSettings
 
@@ -51,6 +51,13 @@ def test_every_option_of_orb_gtsam_can_be_seen_with_its_default():
     node = composed("slam=orb_gtsam")["slam"]
     assert node == {"id": "orb_gtsam", **{key: node[key] for key in LOOP_KEYS["slam"]}, **asdict(Settings())}
     assert {"slam.tracking.local_keyframes", "slam.realtime", "slam.mode"} <= set(known_options())
+
+
+def test_options_of_a_plugin_without_yaml_can_be_seen(monkeypatch):
+    monkeypatch.setattr(REGISTRY, "_specs", dict(REGISTRY._specs))
+    options = f"{Settings.__module__}:TrackingOptions"
+    REGISTRY.register(PluginSpec("slam", "test/grouped", "nowhere:Nothing", options=options))
+    assert composed("slam=test/grouped")["slam"] == {"id": "test/grouped", **asdict(TrackingOptions())}
 
 
 def test_the_yaml_of_orb_gtsam_repeats_no_option():

@@ -31,6 +31,13 @@ from tests.cli.conftest import FAKES
         (["depth.weights=x", "slam=orb_gtsam"], ["depth.weights", "depth=ID"]),
         (["data=kitti_odometry", *FAKES[:2]], ["data.root"]),
         ([*FAKES, "slam.evry=3"], ["'slam.evry'", "'slam.every'", "test/sideways"]),
+        (
+            ["slam=orb_gtsam", *FAKES[1:], "slam.keyframe_ratio=0.8"],
+            ["slam.keyframe_ratio", "slam.keyframes.ratio=0.8"],
+        ),
+        (["slam=orb_gtsam", *FAKES[1:], "slam.tracking.restart=3"], ["'slam.tracking.restart_after'"]),
+        (["slam=orb_gtsam", *FAKES[1:], "slam.features.count=many"], ["slam.features.count", "'many'", "auto"]),
+        (["slam=orb_gtsam", *FAKES[1:], "slam.solver=ceres"], ["slam.optimisation.solver", "numba or gtsam"]),
         ([*FAKES, "slam.mode=stereoo"], ["slam.mode=stereoo", "rgbd"]),
         ([*FAKES, "slam.mode=mono"], ["slam.mode=mono", "task=slam"]),
         ([*FAKES, "slam.baseline=-1"], ["slam.baseline=-1"]),
