@@ -33,12 +33,12 @@ def view(index: int, wTc: np.ndarray, camera: PinholeCamera = CAMERA) -> Frame:
     """Render the walls from a pose."""
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-    slam_map = rays @ wTc[:3, :3].T
+    in_world = rays @ wTc[:3, :3].T
     depth = np.zeros(u.shape)
     image = np.zeros((*u.shape, 3), np.uint8)
     for number, (z, left, right) in enumerate(_WALLS):
-        scale = (z - wTc[2, 3]) / slam_map[..., 2]
-        x, y = slam_map[..., 0] * scale + wTc[0, 3], slam_map[..., 1] * scale + wTc[1, 3]
+        scale = (z - wTc[2, 3]) / in_world[..., 2]
+        x, y = in_world[..., 0] * scale + wTc[0, 3], in_world[..., 1] * scale + wTc[1, 3]
         hit = (scale > 0) & (x > left) & (x < right) & (depth == 0)
         at = [((c * _PIXELS_PER_METRE) + 700.0).astype(np.float32) for c in (x, y)]
         shown = cv2.remap(_texture(number), *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)

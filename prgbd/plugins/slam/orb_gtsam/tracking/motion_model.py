@@ -1,4 +1,4 @@
-"""Dead reckoning: where a camera gets to that goes on as it did."""
+"""The motion model: where a camera gets to that goes on as it did."""
 
 from __future__ import annotations
 

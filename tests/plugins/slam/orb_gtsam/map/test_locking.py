@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from prgbd.plugins.slam.orb_gtsam.map.locking import FairLock
+from prgbd.plugins.slam.orb_gtsam.map.locking import FairLock, MappingStopped, StepLock
 
 
 def test_only_one_thread_is_inside_and_the_owner_may_come_again() -> None:
@@ -74,4 +74,29 @@ def test_a_stranger_cannot_give_the_lock_back() -> None:
         thread.join(20)
         assert "does not hold it" in str(thread_error[0])
     with pytest.raises(RuntimeError, match="does not hold it"):
+        lock.release()
+
+
+def test_work_in_steps_ends_before_the_next_step_and_leaves_the_lock_free() -> None:
+    lock = FairLock()
+    steps = StepLock(lock)
+    with steps, steps, lock:
+        steps.stop()  # what has begun is finished
+    with pytest.raises(MappingStopped), steps:
+        raise AssertionError("a step was begun after the stop")
+    entered = threading.Event()
+
+    def enter() -> None:
+        with lock:
+            entered.set()
+
+    threading.Thread(target=enter).start()
+    assert entered.wait(5)
+
+
+def test_a_step_that_fails_gives_the_lock_back() -> None:
+    lock = FairLock()
+    with pytest.raises(ZeroDivisionError), StepLock(lock):
+        raise ZeroDivisionError
+    with pytest.raises(RuntimeError, match="does not hold"):
         lock.release()

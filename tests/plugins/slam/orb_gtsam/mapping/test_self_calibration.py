@@ -60,11 +60,11 @@ def length(slam_map: Map) -> float:
     return float(np.linalg.norm(np.diff(centre, axis=0), axis=1).sum())
 
 
-@pytest.mark.parametrize("given", [490.0, 510.0])
-def test_a_turning_camera_finds_its_focal_length(given: float) -> None:
+@pytest.mark.parametrize(("given", "solver"), [(490.0, "numba"), (510.0, "numba"), (490.0, "gtsam")])
+def test_a_turning_camera_finds_its_focal_length(given: float, solver: str) -> None:
     slam_map, camera = made(500.0, given, turning=True)
     before = length(slam_map)
-    found = calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA)
+    found = calibrate_focal_length(slam_map, camera, make_solver(solver), 0, SIGMA)
     assert found is not None
     assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
     assert camera.pinhole.fy == camera.pinhole.fx
