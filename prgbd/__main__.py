@@ -84,9 +84,10 @@ def _through_hydra(arguments: list[str]) -> int:
     from omegaconf.errors import OmegaConfBaseException
 
     from prgbd.cli import sweep
-    from prgbd.cli.hydra_bridge import explain, register_plugins
+    from prgbd.cli.hydra_bridge import register
+    from prgbd.cli.hydra_errors import explain
 
-    register_plugins()
+    register()
     run = hydra.main(version_base="1.3", config_path="pkg://prgbd.conf", config_name="prgbd")(_task)
     argv, full_error = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
     _failures.clear()

@@ -22,7 +22,8 @@ import yaml
 
 import prgbd
 from prgbd.cli.arguments import normalise, value_of
-from prgbd.cli.settings import check_settings
+from prgbd.cli.options import read_options
+from prgbd.cli.settings import check_machine
 from prgbd.core.registry import REGISTRY
 from tests.cli.test_config import composed
 from tests.conftest import ROOT
@@ -205,7 +206,7 @@ def _check_run(words: list[str]) -> None:
         words = [word for word in words if not word.startswith("viz=")]
     config = composed(*[word for word in words if not word.startswith("out=")])
     config["out"] = "run"
-    check_settings(config)
+    check_machine(read_options(config), config)
     _check_plugin_options(words, config)
 
 
@@ -224,8 +225,8 @@ def _with_installed_plugins(words: list[str]) -> list[str]:
 
 def _check_plugin_options(words: list[str], config: dict) -> None:
     """Options of plug-ins pass the command line unseen, so they are looked up where the plug-in has them."""
-    from prgbd.cli.parts import LOOP_KEYS
-    from prgbd.core.options import option_names
+    from prgbd.cli.plugin_choices import LOOP_KEYS
+    from prgbd.core.options import option_types
     from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
     for word in words:
@@ -235,7 +236,7 @@ def _check_plugin_options(words: list[str], config: dict) -> None:
         plugin = value_of([w.lstrip("+") for w in words], found[1]) or config[found[1]]["id"]
         if REGISTRY.resolve(found[1], plugin).missing:
             continue  # its extra is not installed here
-        known = set(option_names(Settings)) if plugin == "orb_gtsam" else set(REGISTRY.options(found[1], plugin))
+        known = set(option_types(Settings)) if plugin == "orb_gtsam" else set(REGISTRY.options(found[1], plugin))
         assert found[2] in known, f"{word}: {plugin} has {sorted(known)}"
 
 

@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import OmegaConf
 
 from prgbd.cli.display import Display, complain, log_file, quiet
+from prgbd.cli.options import RunOptions, read_options
 from prgbd.cli.parts import Parts, make_parts
-from prgbd.cli.settings import check_settings, trainer_factory
+from prgbd.cli.settings import check_machine, trainer_factory
 from prgbd.core.errors import PrgbdError
 from prgbd.io.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
+from prgbd.loop.summary import RunIdentity
 from prgbd.version import __version__
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ class Job:
 
     Attributes:
         config: The whole configuration, plain data.
+        options: The options that were read from it.
         parts: The plug-ins.
         store: The run.
         display: The terminal and the log.
@@ -45,6 +48,7 @@ class Job:
     """
 
     config: Mapping[str, Any]
+    options: RunOptions
     parts: Parts
     store: RunStore
     display: Display
@@ -54,6 +58,12 @@ class Job:
     def trainer(self) -> TrainerFactory:
         """The Lightning configuration of whatever the run trains and predicts."""
         return trainer_factory(self.config)
+
+    @property
+    def identity(self) -> RunIdentity:
+        """What the run is about."""
+        ids = self.parts.ids
+        return RunIdentity(self.options.task.name, ids["slam"], ids["depth"], ids["data"], self.options.seed)
 
     def shown(self, path: Path) -> str:
         """Return a path as the user would type it."""
@@ -77,15 +87,16 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
     about = {"version": __version__, "started_in": os.getcwd(), "overrides": overrides, "choices": dict(choices)}
     noted = {**config, META: about}
     try:
-        check_settings(config)
-        parts = make_parts(config)
+        options = read_options(config)
+        check_machine(options, config)
+        parts = make_parts(options)
         store = RunStore.create(folder, noted)
     except BaseException:
         _remove_empty(folder)
         raise
     try:
         _note_overrides(folder, overrides)
-        _run(Job(config, parts, store, make_display(config), Path.cwd()))
+        _run(Job(config, options, parts, store, make_display(options.progress), Path.cwd()))
     finally:
         store.close()
 
@@ -106,26 +117,26 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
     store = RunStore.open(folder)
     try:
         config = {key: value for key, value in store.config.items() if key != META} | dict(changes)
-        display = make_display(config)
+        display = make_display(config.get("progress", "auto"))
         if store.is_finished:
             display.say(f"The run in {folder} is finished; there is nothing left to do.")
             return
         with _working_folder(store.config.get(META, {}).get("started_in")):
-            parts = make_parts(config)
+            options = read_options(config)
+            parts = make_parts(options)
             display.say(f"Going on with {folder}")
-            _run(Job(config, parts, store, display, here))
+            _run(Job(config, options, parts, store, display, here))
     finally:
         store.close()
 
 
-def make_display(config: Mapping[str, Any]) -> Display:
+def make_display(bars: bool | str) -> Display:
     """Make the display that the option ``progress`` asks for."""
-    bars = config.get("progress", "auto")
     return Display(bars if isinstance(bars, bool) else None)
 
 
 def _run(job: Job) -> None:
-    task = str(job.config["task"]["name"])
+    task = job.options.task.name
     folder = job.store.folder
     work: Callable[[Job], None] = import_module(f"prgbd.cli.tasks.{task}").run
     begin = time.monotonic()
@@ -169,7 +180,7 @@ def _note_overrides(folder: Path, overrides: list[str]) -> None:
 
 
 def _facts(job: Job) -> dict[str, Any]:
-    parts, config = job.parts, job.config
+    parts = job.parts
     source = {
         "mono": "none (monocular)",
         "rgbd": "the recording's own sensor",
@@ -183,7 +194,7 @@ def _facts(job: Job) -> dict[str, Any]:
         "depth": parts.ids["depth"],
         "data": f"{parts.ids['data']}: {names}{f' and {more} more' if more > 0 else ''}",
         "test": ", ".join(s.name for s in parts.test_sequences),
-        "seed": config["seed"],
+        "seed": job.options.seed,
         "folder": job.shown(job.store.folder),
     }
     return {key: value for key, value in facts.items() if value != ""}

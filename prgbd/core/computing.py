@@ -6,14 +6,13 @@ import contextlib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
-import torch
-from torch import Tensor, nn
+from prgbd.core.options import check_types
 
-from prgbd.core.errors import ConfigError
-
-PRECISIONS = ("auto", "float32", "bfloat16", "float16")
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor, nn
 
 
 @dataclass(frozen=True)
@@ -34,19 +33,17 @@ class Computing:
         ConfigError: If the precision is unknown.
     """
 
-    precision: str = "float32"
+    precision: Literal["auto", "float32", "bfloat16", "float16"] = "float32"
     channels_last: bool = False
     compile: bool = False
 
     def __post_init__(self) -> None:
-        if self.precision not in PRECISIONS:
-            raise ConfigError(f"sensing.precision is '{self.precision}'; choose one of {', '.join(PRECISIONS)}.")
-        for name in ("channels_last", "compile"):
-            if not isinstance(getattr(self, name), bool):
-                raise ConfigError(f"sensing.{name} is {getattr(self, name)!r}; it must be true or false.")
+        check_types(self, "sensing")
 
     def dtype(self, device: torch.device) -> torch.dtype:
         """Return the precision on a device."""
+        import torch
+
         if self.precision != "auto":
             dtype: torch.dtype = getattr(torch, self.precision)
             return dtype
@@ -54,16 +51,22 @@ class Computing:
 
     def description(self, device: torch.device) -> list[str]:
         """Return what sets the results apart from those of the defaults, for the names of caches."""
+        import torch
+
         dtype = self.dtype(device)
         found = [] if dtype == torch.float32 else [str(dtype)]
         return found + [name for name in ("channels_last", "compile") if getattr(self, name)]
 
     def arranged(self, images: Tensor) -> Tensor:
         """Return images (B, 3, H, W) in the chosen memory layout."""
+        import torch
+
         return images.contiguous(memory_format=torch.channels_last) if self.channels_last else images
 
     def stacked(self, images: Sequence[Tensor]) -> Tensor:
         """Stack images (3, H, W) to a batch in the chosen memory layout."""
+        import torch
+
         if not self.channels_last:
             return torch.stack(list(images))
         # Images that are decoded have their channels innermost already: no element changes its place.
@@ -78,6 +81,8 @@ class Computing:
             device: Where the network lies.
             say: Takes a sentence if the network cannot be compiled.
         """
+        import torch
+
         dtype = self.dtype(device)
         if dtype == torch.float32:
             modes: list[contextlib.AbstractContextManager[Any]] = [torch.inference_mode()]
@@ -97,6 +102,8 @@ class Computing:
 @contextlib.contextmanager
 def _weights_channels_last(network: nn.Module) -> Iterator[None]:
     """Keep convolution weights with the channels innermost within the block: else every pass copies them so."""
+    import torch
+
     weights = [p for p in network.parameters() if p.dim() == 4]
     before = [p.data for p in weights]
     try:
@@ -110,6 +117,8 @@ def _weights_channels_last(network: nn.Module) -> Iterator[None]:
 
 def computes_bfloat16(device: torch.device) -> bool:
     """Say whether a device computes in bfloat16 rather than imitating it."""
+    import torch
+
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     if device.type == "cpu":
@@ -129,6 +138,8 @@ def compiled(network: nn.Module, say: Callable[[str], None] = warnings.warn) -> 
         network: Its ``forward`` is replaced in the block.
         say: Takes a sentence if it cannot be compiled.
     """
+    import torch
+
     replaced = vars(network).get("forward")
     plain = network.forward
     fast = torch.compile(plain, dynamic=False)

@@ -7,17 +7,18 @@ the dataclass into a structured config for Hydra's ConfigStore, so that the comm
 
 Types are checked and converted by OmegaConf (``"1e-6"`` is a float, ``true`` is no whole number, a list serves for a
 tuple). What OmegaConf 2.3 does not know is decided here by the annotation alone: ``Literal``, alternatives such as
-``int | Literal["auto"]``, the length of a tuple, and ``3.0`` for a whole number. Values of other types (a ``Camera``,
-an array) pass as they are.
+``int | Literal["auto"]``, the length of a tuple, ``3.0`` for a whole number, and that 1 is not true. Values of other
+types (a ``Camera``, an array) pass as they are.
 """
 
 from __future__ import annotations
 
+import copy
 import difflib
 import functools
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from types import NoneType, SimpleNamespace, UnionType
@@ -49,13 +50,13 @@ def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
         ConfigError: If an option is unknown, absent without a default, or has a value of the wrong type; the message
             holds its full dotted name. What ``__post_init__`` raises passes as it is.
     """
-    return _made(cls, given, prefix, option_names(cls, prefix))
+    return _made(cls, given, prefix, option_types(cls, prefix))
 
 
-def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: list[str]) -> T:
+def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: Collection[str]) -> T:
     """Make a dataclass, which may be a group of a larger one; ``all_names`` are what an unknown name may stand for."""
     hints = _hints(cls)
-    known = {option.name: option for option in fields(cls) if option.init}  # type: ignore[arg-type]
+    known = {option.name: option for option in fields(cls)}  # type: ignore[arg-type]
     _check_names(given, known, prefix, all_names)
     values = {}
     for name, option in known.items():
@@ -68,6 +69,20 @@ def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: list[s
         else:
             values[name] = _converted(given[name], hints[name], key)
     return cls(**values)
+
+
+def check_types(options: Any, prefix: str = "") -> None:
+    """Check the types of a dataclass that was made from Python, in its ``__post_init__``; nothing is converted.
+
+    Raises:
+        ConfigError: If a field has a value that its annotation does not allow.
+    """
+    hints = _hints(type(options))
+    for option in fields(options):
+        value, key = getattr(options, option.name), dotted(prefix, option.name)
+        converted = _converted(value, hints[option.name], key)
+        if converted != (tuple(value) if isinstance(converted, tuple) else value):
+            raise refused(key, value, hints[option.name])
 
 
 def checked_arguments(target: Callable[..., Any], given: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -100,31 +115,36 @@ def keyword_parameters(target: Callable[..., Any]) -> dict[str, inspect.Paramete
     return {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
 
 
-def schema(cls: type[Any]) -> type[Any]:
+def schema(cls: type[Any], without: Collection[str] = (), **more: Any) -> type[Any]:
     """Return a dataclass like ``cls`` that OmegaConf takes as a structured config, for Hydra's ConfigStore.
 
     It has the same names and defaults, no checks of ranges, and is not frozen, for OmegaConf lets nobody change the
     groups of a frozen one. A field whose type OmegaConf does not know takes anything; ``from_mapping`` checks it.
+
+    Args:
+        cls: The dataclass.
+        without: Dotted names of fields to leave out.
+        more: Further fields that take anything, with their defaults.
     """
     hints = _hints(cls)
-    described = []
-    for option in fields(cls):
-        if not option.init:
-            continue
-        hint = hints[option.name]
-        kind = schema(hint) if _is_group(hint) else hint if _box(hint) is not None else Any
-        described.append((option.name, kind, _schema_default(option, hint, kind)))
+    described: list[Any] = [
+        (option.name, kind, _schema_default(option, kind))
+        for option in fields(cls)
+        if option.name not in without
+        for kind in [_schema_type(hints[option.name], _within(option.name, without))]
+    ]
+    described += [(name, Any, field(default_factory=functools.partial(copy.copy, v))) for name, v in more.items()]
     return make_dataclass(cls.__name__, described)
 
 
-def option_names(cls: type[Any], prefix: str = "") -> list[str]:
-    """Return the dotted names of all options of a dataclass, those of its groups included."""
+def option_types(cls: type[Any], prefix: str = "") -> dict[str, Any]:
+    """Return the types of all options of a dataclass by their dotted names, those of its groups included."""
+    types: dict[str, Any] = {}
     hints = _hints(cls)
-    names: list[str] = []
     for option in fields(cls):
         key, hint = dotted(prefix, option.name), hints[option.name]
-        names += option_names(hint, key) if _is_group(hint) else [key]
-    return names
+        types |= option_types(hint, key) if _is_group(hint) else {key: hint}
+    return types
 
 
 def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
@@ -166,10 +186,13 @@ def wanted(annotation: Any) -> str:
         return _either([wanted(part) for part in sorted(parts, key=lambda part: part is NoneType)])
     if origin in (list, tuple):
         count = f"{len(parts)} " if origin is tuple and Ellipsis not in parts else ""
-        return f"a list of {count}{_WORDS_OF_SEVERAL.get(parts[0], 'values')}"
+        words = wanted(parts[0]) if get_origin(parts[0]) is Literal else _WORDS_OF_SEVERAL.get(parts[0], "values")
+        return f"a list of {count}{words}"
     if annotation in _WORDS:
         return _WORDS[annotation]
-    return "a group of options" if _is_group(annotation) else f"a value of the type {_name(annotation)}"
+    if origin is dict or _is_group(annotation):
+        return "a group of options"
+    return f"a value of the type {annotation.__name__ if isinstance(annotation, type) else annotation}"
 
 
 def dotted(prefix: str, name: str) -> str:
@@ -181,11 +204,11 @@ def _is_group(annotation: Any) -> TypeGuard[type[Any]]:
     return isinstance(annotation, type) and is_dataclass(annotation)
 
 
-def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: str, all_names: list[str]) -> Any:
+def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: str, all_names: Collection[str]) -> Any:
     """Make a nested dataclass; its defaults are those of the field that holds it."""
     if option.default is MISSING and option.default_factory is MISSING:
         return _made(cls, given, key, all_names)
-    default = {f.name: getattr(_default(option), f.name) for f in fields(cls) if f.init}
+    default = {f.name: getattr(_default(option), f.name) for f in fields(cls)}
     return _made(cls, default | dict(given), key, all_names)
 
 
@@ -207,10 +230,16 @@ def _converted(value: Any, annotation: Any, key: str) -> Any:
         return _alternative(value, annotation, key)
     if origin in (list, tuple):
         return _sequence(value, annotation, key)
+    if origin is dict:
+        if not isinstance(value, Mapping):
+            raise refused(key, value, annotation)
+        return {str(name): _converted(item, parts[1], dotted(key, name)) for name, item in value.items()}
     if annotation in (int, float, bool) and getattr(value, "shape", None) == ():
         value = value.item()  # a scalar of numpy's
     if annotation is int and isinstance(value, float) and value.is_integer():
         return int(value)
+    if annotation is bool and isinstance(value, int) and not isinstance(value, bool):
+        raise refused(key, value, annotation)
     return _by_omegaconf(value, annotation, key)
 
 
@@ -280,22 +309,32 @@ def _box(annotation: Any) -> DictConfig | None:
         return None
 
 
-def _schema_default(option: Field[Any], hint: Any, kind: Any) -> Any:
+def _within(group: str, names: Iterable[str]) -> list[str]:
+    return [name.removeprefix(f"{group}.") for name in names if name.startswith(f"{group}.")]
+
+
+def _schema_type(hint: Any, without: Collection[str]) -> Any:
+    """Return the type of a field in a schema."""
+    if _is_group(hint):
+        return schema(hint, without)
+    if hint in (int, int | None):
+        return hint | float  # so that 3.0 is a whole number there, too
+    if any(get_origin(part) is dict for part in get_args(hint)):
+        return Any  # OmegaConf 2.3 puts nothing into a mapping that was null
+    return Any if _box(hint) is None else hint
+
+
+def _schema_default(option: Field[Any], kind: Any) -> Any:
     if option.default is MISSING and option.default_factory is MISSING:
         return "???"
-    default = _default(option)
-    if _is_group(hint):
-        return field(default_factory=lambda: _mirrored(default, kind))
-    return field(default_factory=lambda: default)
+    return field(default_factory=lambda: _mirrored(_default(option), kind))
 
 
-def _mirrored(instance: Any, kind: type[Any]) -> Any:
-    """Return the values of a dataclass in its schema."""
-    values = {}
-    for option in fields(kind):
-        value = getattr(instance, option.name)
-        values[option.name] = _mirrored(value, _hints(kind)[option.name]) if is_dataclass(value) else value
-    return kind(**values)
+def _mirrored(value: Any, kind: Any) -> Any:
+    """Return a default of an option as its schema holds it."""
+    if not _is_group(kind):
+        return value
+    return kind(**{o.name: _mirrored(getattr(value, o.name), _hints(kind)[o.name]) for o in fields(kind)})
 
 
 def _default(option: Field[Any]) -> Any:
@@ -343,7 +382,3 @@ def listed(names: Iterable[str]) -> str:
 
 def _either(words: list[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-def _name(annotation: Any) -> str:
-    return annotation.__name__ if isinstance(annotation, type) else str(annotation)

@@ -13,10 +13,6 @@ from torch import Tensor
 
 from prgbd.functional.warping import NEAREST, invert_rigid
 
-REDUCTIONS = ("mean", "sum", "average")
-MATCHINGS = ("projected", "offset")
-RESIDUALS = ("absolute", "log")
-
 
 class Patches(NamedTuple):
     """Depth around keypoints.

@@ -70,7 +70,7 @@ def localise(
         result = run_slam(make_slam, sequence, given, seed=settings.seed, monitor=monitor)
         with store.new_folder(store.path(_folder(kind), "slam", sequence.name)) as target:
             save_result(result, target, settings.export, frame=sequence.frame)
-        return pose_figures(result, sequence, settings.alignment)
+        return pose_figures(result, sequence, settings.evaluation.alignment)
 
     figures: dict[str, Any] = store.step(f"{_folder(kind)}/slam/{sequence.name}", work)
     return figures

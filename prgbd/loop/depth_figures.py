@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence as Seq
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,68 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
-from prgbd.core.errors import ConfigError
-from prgbd.evaluation.depth import CROPS, DEFAULT_CAP, DepthEvaluation
+from prgbd.evaluation.depth import DEFAULT_CAP, DepthEvaluation
+from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.files import atomic_path
 from prgbd.loop.sensing import DepthSensor
 
 SAMPLES = 6
 NEAREST = DEFAULT_CAP[0]
-OUTDOORS = 30.0  # metres; a cap from here on gets the caps and bins of a street
-
-
-@dataclass(frozen=True)
-class DepthProtocol:
-    """How predicted depth is compared with the truth.
-
-    Attributes:
-        images: At most this many evenly spaced images per sequence; None for all.
-        cap: Metres beyond which truth is ignored and to which predictions are clamped.
-        crop: ``none``, ``garg`` or ``eigen``.
-        median_scaling: Whether each prediction is scaled by the ratio of the medians.
-        caps: Further caps, each evaluated by the full protocol; None chooses them by ``cap``.
-        bins: Ascending depths in metres between which errors are collected; None chooses them by ``cap``.
-
-    Raises:
-        ConfigError: If a value cannot work.
-    """
-
-    images: int | None = 100
-    cap: float = 80.0
-    crop: str = "none"
-    median_scaling: bool = True
-    caps: tuple[float, ...] | None = None
-    bins: tuple[float, ...] | None = None
-
-    def __post_init__(self) -> None:
-        if not self.cap > 0:
-            raise ConfigError(f"evaluation.depth_cap is {self.cap}; it must be positive (metres).")
-        if self.images is not None and self.images < 1:
-            raise ConfigError(f"evaluation.depth_images is {self.images}; it must be at least 1, or null for all.")
-        if self.crop not in CROPS:
-            raise ConfigError(f"evaluation.depth_crop is '{self.crop}'; choose {', '.join(CROPS)}.")
-        if self.caps is not None and not all(cap > 0 for cap in self.caps):
-            raise ConfigError(f"evaluation.depth_caps is {list(self.caps)}; the caps must be positive (metres).")
-        if self.bins and (len(self.bins) < 2 or min(self.bins) < 0 or np.any(np.diff(self.bins) <= 0)):
-            raise ConfigError(
-                f"evaluation.depth_bins is {list(self.bins)}; give at least two ascending depths in metres, or []."
-            )
-
-    @property
-    def chosen_caps(self) -> tuple[float, ...]:
-        """The further caps: the paper's 30, 40, ... 80 m up to ``cap``, or 2, 4, ... 10 m where ``cap`` is indoors."""
-        if self.caps is not None:
-            return self.caps
-        candidates = range(30, 81, 10) if self.cap >= OUTDOORS else range(2, 11, 2)
-        return tuple(float(cap) for cap in candidates if cap <= self.cap)
-
-    @property
-    def chosen_bins(self) -> tuple[float, ...]:
-        """The limits of the depth bins up to ``cap``, finer indoors."""
-        if self.bins is not None:
-            return self.bins
-        limits = (0, 5, 10, 15, 20, 30, 40, 60, 80) if self.cap >= OUTDOORS else range(11)
-        return (*(float(limit) for limit in limits if limit < self.cap), self.cap)
 
 
 def evenly(count: int, wanted: int | None) -> NDArray[np.int64]:
@@ -83,23 +27,27 @@ def evenly(count: int, wanted: int | None) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, max(wanted, 1)).round().astype(np.int64))
 
 
-def depth_figures(sensors: Seq[DepthSensor], protocol: DepthProtocol | None = None) -> dict[str, Any] | None:
+def depth_figures(sensors: Seq[DepthSensor], settings: EvaluationSettings | None = None) -> dict[str, Any] | None:
     """Evaluate the predicted depth of sequences against their truth.
 
     Args:
         sensors: The network on each sequence.
-        protocol: Images, cap, crop, scaling, further caps and bins; the defaults for None.
+        settings: Images, cap, crop, scaling, further caps and bins; the defaults for None.
 
     Returns:
         The metrics and their protocol, or None without any truth.
     """
-    protocol = protocol or DepthProtocol()
+    chosen = settings or EvaluationSettings()
     evaluation = DepthEvaluation(
-        (NEAREST, protocol.cap), protocol.crop, protocol.median_scaling, protocol.chosen_caps, protocol.chosen_bins
+        (NEAREST, chosen.depth_cap),
+        chosen.depth_crop,
+        chosen.median_scaling,
+        chosen.chosen_caps,
+        chosen.chosen_bins,
     )
     truth_seen = False
     for sensor in sensors:
-        for index in evenly(len(sensor), protocol.images):
+        for index in evenly(len(sensor), chosen.depth_images):
             truth = sensor.sequence.depth(int(index))
             if truth is None:
                 evaluation.skip()

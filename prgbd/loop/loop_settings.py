@@ -1,41 +1,112 @@
-"""The options of the loop."""
+"""The options of the loop and of the depth sensor that it uses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar, Literal
 
 from prgbd.core.computing import Computing
 from prgbd.core.errors import ConfigError
+from prgbd.core.options import check_types
+from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.export import DEFAULT_FORMATS
 from prgbd.loop.criterion import CRITERIA
-from prgbd.loop.depth_figures import DepthProtocol
-from prgbd.loop.slam_runs import MapFiles
-
-FIRST_TEACHERS = ("pseudo_rgbd", "mono")
+from prgbd.loop.map_files import MapFiles
 
 
 @dataclass(frozen=True)
-class LoopSettings:
-    """Options of the loop.
+class SensingSettings(Computing):
+    """Options of the depth network as a depth sensor.
 
     Attributes:
-        max_loops: Refinements of the network at most.
-        min_improvement: The criterion must drop by more than this fraction, or the loop stops; None never stops it
-            early and keeps the last loop, for ablations.
-        criterion: What decides whether a loop helped: ``held_out`` (the loss of the refinement on held-out keyframes),
-            ``slam`` (what SLAM made of the refined network, see ``prgbd.loop.criterion``) or ``both``.
-        first_teacher: What the first refinement learns from: ``pseudo_rgbd``, SLAM on the network's depth as in all
-            later ones (the paper), or ``mono``, SLAM on the images alone, for a network that does not know the scene.
+        precision: Of the network: float32, bfloat16, float16, or auto (bfloat16 where the processor computes in it).
+        channels_last: Memory layout that convolutions are faster in on most processors; changes the last digits.
+        compile: Use torch.compile: a minute once, then faster; needs a C++ compiler.
+        batch_size: Frames per forward pass; auto is 8 on a GPU, 1 on the CPU, and there 4 in half precision.
+        baseline_percentile: d_max of the adaptive baseline is this percentile of all predicted depths; 100 is the
+            largest.
+        cache: A FOLDER to keep predicted depth in and share between runs; null keeps it in the run until it is used.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+
+    batch_size: int | Literal["auto"] | None = "auto"
+    baseline_percentile: float = 100.0
+    cache: Path | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frames_at_once is not None and self.frames_at_once < 1:
+            raise ConfigError(f"sensing.batch_size is {self.batch_size}; it must be at least 1.")
+        if not 0 < self.baseline_percentile <= 100:
+            raise ConfigError(
+                f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
+            )
+
+    @property
+    def frames_at_once(self) -> int | None:
+        """The batch size, None for auto."""
+        return self.batch_size if isinstance(self.batch_size, int) else None
+
+
+@dataclass(frozen=True)
+class SelfImprovement:
+    """Options of ``task=self_improve``: SLAM on the network's depth, the network refined on SLAM's output, and again.
+
+    Attributes:
+        max_loops: Refinements of the network at most (the paper: 5 on KITTI, 3 on TUM).
+        min_improvement: Stop, and go back to the best loop, unless the criterion drops by more than this fraction; null
+            never stops early and keeps the last loop, so that all runs of an ablation end after the same loop.
+        criterion: What decides whether a loop helped: held_out (the loss of the refinement on held-out keyframes), slam
+            (what SLAM made of the refined network, see ``prgbd.loop.criterion``) or both.
         patience: Go on after so many loops in a row that SLAM's evidence calls no better; the best one is kept anyway.
+        first_teacher: What the first refinement learns from: pseudo_rgbd, SLAM on the network's depth as in all later
+            ones (the paper), or mono, SLAM on the images alone, for a network that does not know the scene yet.
+        baselines: Further rows of the tables, on the test recordings or, without any, on all: mono (slam= on the images
+            alone, the paper's RGB ORB-SLAM) and posenet (the pose network that lies beside depth.weights, its motions
+            chained).
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+
+    name: ClassVar[str] = "self_improve"
+
+    max_loops: int = 3
+    min_improvement: float | None = 0.0
+    criterion: str = "held_out"
+    patience: int = 0
+    first_teacher: Literal["pseudo_rgbd", "mono"] = "pseudo_rgbd"
+    baselines: tuple[Literal["mono", "posenet"], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_types(self, "task")
+        for name in ("max_loops", "patience"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"task.{name} is {getattr(self, name)}; it must be a whole number, 0 or more.")
+        if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
+            raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
+        if self.criterion not in CRITERIA:
+            raise ConfigError(f"task.criterion is '{self.criterion}'; choose one of {', '.join(CRITERIA)}.")
+
+    @property
+    def all_baselines(self) -> tuple[str, ...]:
+        """The baselines that run beside the loop; one that teaches the network is among them."""
+        teacher = ("mono",) if self.first_teacher == "mono" else ()
+        return tuple(dict.fromkeys((*self.baselines, *teacher)))
+
+
+@dataclass(frozen=True)
+class LoopSettings(SelfImprovement):
+    """All that the loop is told.
+
+    Attributes:
         baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
         running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
-        baseline_percentile: d_max of the adaptive baseline is this percentile of the predicted depth.
-        batch_size: Frames per forward pass of the sensor; None chooses by device.
-        computing: Precision and speed of the sensor's network.
-        cache: Folder for predicted depth that several runs share; None keeps it in the run until it is used.
-        depth: How depth is evaluated.
-        alignment: Of trajectories with the truth: ``sim3``, ``se3`` or ``none``.
+        sensing: How the network predicts depth.
+        evaluation: How depth and trajectories are compared with the truth.
         seed: Seed of everything random.
         export: Formats of SLAM's results, see ``prgbd.io.export.save_result``.
         maps: Files of SLAM's maps; not with refinement, which changes the scale of the depth.
@@ -44,39 +115,15 @@ class LoopSettings:
         ConfigError: If a value cannot work.
     """
 
-    max_loops: int = 3
-    min_improvement: float | None = 0.0
-    criterion: str = "held_out"
-    first_teacher: str = "pseudo_rgbd"
-    patience: int = 0
     baseline: float | None = None
     running_baseline: bool = False
-    baseline_percentile: float = 100.0
-    batch_size: int | None = None
-    computing: Computing = field(default_factory=Computing)
-    cache: Path | None = None
-    depth: DepthProtocol = field(default_factory=DepthProtocol)
-    alignment: str = "sim3"
+    sensing: SensingSettings = field(default_factory=SensingSettings)
+    evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
     seed: int = 0
     export: tuple[str, ...] = DEFAULT_FORMATS
     maps: MapFiles = field(default_factory=MapFiles)
 
     def __post_init__(self) -> None:
-        if isinstance(self.max_loops, bool) or not isinstance(self.max_loops, int) or self.max_loops < 0:
-            raise ConfigError(f"task.max_loops is {self.max_loops}; it must be a whole number, 0 or more.")
-        if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
-            raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
-        if self.criterion not in CRITERIA:
-            raise ConfigError(f"task.criterion is '{self.criterion}'; choose one of {', '.join(CRITERIA)}.")
-        if self.first_teacher not in FIRST_TEACHERS:
-            raise ConfigError(
-                f"task.first_teacher is '{self.first_teacher}'; choose one of {', '.join(FIRST_TEACHERS)}."
-            )
-        if isinstance(self.patience, bool) or not isinstance(self.patience, int) or self.patience < 0:
-            raise ConfigError(f"task.patience is {self.patience}; it must be a whole number, 0 or more.")
-        if not 0 < self.baseline_percentile <= 100:
-            raise ConfigError(
-                f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
-            )
+        super().__post_init__()
         if self.max_loops and self.maps != MapFiles():
             raise ConfigError("Maps of SLAM are loaded and saved without refinement alone; add task=slam.")

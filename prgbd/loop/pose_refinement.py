@@ -53,7 +53,7 @@ class PoseRefinement:
         if depth and depth["images"]:
             self.monitor.say(describe_depth(depth))
         seconds = self.store.step(self._step("seconds"), lambda: time.perf_counter() - began)
-        if self.settings.cache is None:
+        if self.settings.sensing.cache is None:
             for sensor in (*sensors, *tests):
                 sensor.forget()
         return {
@@ -87,12 +87,12 @@ class PoseRefinement:
         return DepthSensor(
             self.parts.estimator,
             sequence,
-            self.settings.cache or self.store.path("cache"),
+            self.settings.sensing.cache or self.store.path("cache"),
             name=self.parts.identity.depth,
-            percentile=self.settings.baseline_percentile,
-            batch_size=self.settings.batch_size,
+            percentile=self.settings.sensing.baseline_percentile,
+            batch_size=self.settings.sensing.frames_at_once,
             monitor=self.monitor,
-            computing=self.settings.computing,
+            computing=self.settings.sensing,
             fabric=self.parts.trainer.fabric,
         )
 
@@ -121,7 +121,7 @@ class PoseRefinement:
         )
         with self.store.new_folder(self.store.loop(self.loop, "slam", sequence.name)) as folder:
             save_result(result, folder, self.settings.export, frame=sequence.frame)
-        return pose_figures(result, sequence, self.settings.alignment)
+        return pose_figures(result, sequence, self.settings.evaluation.alignment)
 
     def _evaluate_depth(self, sensors: list[DepthSensor], tests: list[DepthSensor]) -> dict[str, Any] | None:
         """Depth figures on the depth tests, else the test recordings, else on all; and pictures of the first or all."""
@@ -129,7 +129,7 @@ class PoseRefinement:
             test.prepare()
         write_samples(tests or sensors, self.store.loop(self.loop, "depth", "samples.npz"))
         tested = tests or sensors[len(self.parts.sequences) :] or sensors
-        return depth_figures(tested, self.settings.depth)
+        return depth_figures(tested, self.settings.evaluation)
 
     def _step(self, *parts: str) -> str:
         return step_name(self.loop, *parts)

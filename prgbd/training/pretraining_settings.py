@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.options import check_types
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class PretrainingSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_types(self, "pretraining")
         for name in ("epochs", "batch_size", "learning_rate", "lr_step_epoch", "frame_gap"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be positive.")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Literal
 
 from prgbd.core.errors import ConfigError
-from prgbd.functional.sparse_losses import MATCHINGS, REDUCTIONS, RESIDUALS
-from prgbd.training.supervision import CONSISTENCY_POINTS
+from prgbd.core.options import check_types
 
 TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
 
@@ -78,9 +78,9 @@ class RefinementSettings:
     epochs: int = 1
     batch_size: int = 12
     patch: int = 5
-    matching: str = "projected"
-    reduction: str = "mean"
-    residual: str = "absolute"
+    matching: Literal["projected", "offset"] = "projected"
+    reduction: Literal["mean", "sum", "average"] = "mean"
+    residual: Literal["absolute", "log"] = "absolute"
     automask: bool = True
     augment: bool = False
     freeze_batchnorm: bool = False
@@ -94,7 +94,7 @@ class RefinementSettings:
     keyframe_gap: int = 1
     frame_gap: int = 1
     min_common_points: int = 20
-    consistency_points: str = "common"
+    consistency_points: Literal["common", "all"] = "common"
     min_parallax: float = 0.0
     anchored_transfer: bool = False
     memory_mb: int = 1024
@@ -104,6 +104,7 @@ class RefinementSettings:
     checkpoint_minutes: float = 2.0
 
     def __post_init__(self) -> None:
+        check_types(self, "training")
         for name in TERMS:
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ConfigError(f"loss.{name} is {getattr(self, name)}; a weight must be 0 or positive.")
@@ -118,15 +119,6 @@ class RefinementSettings:
                 raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be 0 or positive.")
         if self.patch < 1 or self.patch % 2 == 0:
             raise ConfigError(f"training.patch is {self.patch}; the side of a patch must be an odd number of pixels.")
-        if self.reduction not in REDUCTIONS:
-            raise ConfigError(f"training.reduction is '{self.reduction}'; choose one of {', '.join(REDUCTIONS)}.")
-        if self.matching not in MATCHINGS:
-            raise ConfigError(f"training.matching is '{self.matching}'; choose one of {', '.join(MATCHINGS)}.")
-        if self.residual not in RESIDUALS:
-            raise ConfigError(f"training.residual is '{self.residual}'; choose one of {', '.join(RESIDUALS)}.")
-        if self.consistency_points not in CONSISTENCY_POINTS:
-            known = ", ".join(CONSISTENCY_POINTS)
-            raise ConfigError(f"training.consistency_points is '{self.consistency_points}'; choose one of {known}.")
         if not 0 <= self.min_parallax < 90:
             raise ConfigError(f"training.min_parallax is {self.min_parallax}; it must lie between 0 and 90 degrees.")
         if not 0 <= self.val_fraction <= 0.5:
@@ -136,8 +128,3 @@ class RefinementSettings:
     def weights(self) -> dict[str, float]:
         """The weight of every term."""
         return {name: float(getattr(self, name)) for name in TERMS}
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """Names of all options."""
-        return tuple(f.name for f in fields(cls))

@@ -14,7 +14,6 @@ from prgbd.core.types import Observations, PinholeCamera, SlamResult
 
 Floats = NDArray[np.float64]
 
-CONSISTENCY_POINTS = ("common", "all")
 # Adjacent frames should see the scene from places this far apart, as a share of its depth: below, parallax drowns in
 # the noise of poses and image. A car at 10 Hz is above it from one frame to the next, a hand at 30 Hz in four.
 _ADJACENT_PARALLAX = 0.015

@@ -9,8 +9,12 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 from prgbd.cli.arguments import GROUPS, normalise
-from prgbd.cli.hydra_bridge import known_options, register_plugins
-from prgbd.cli.parts import LOOP_KEYS, _names
+from prgbd.cli.hydra_bridge import register
+from prgbd.cli.hydra_errors import known_options
+from prgbd.cli.options import read_options
+from prgbd.cli.parts import names_of
+from prgbd.cli.plugin_choices import LOOP_KEYS
+from prgbd.cli.task_options import TASKS
 from prgbd.core.registry import KINDS, REGISTRY, PluginSpec
 from prgbd.plugins.slam.orb_gtsam.settings import Settings, TrackingOptions
 from prgbd.training.pretraining_settings import PretrainingSettings
@@ -20,14 +24,14 @@ CONF = Path(str(resources.files("prgbd.conf")))
 
 
 def composed(*arguments):
-    register_plugins()
+    register()
     with initialize_config_module("prgbd.conf", version_base="1.3"):
-        return OmegaConf.to_container(compose("prgbd", overrides=normalise(arguments)), resolve=False)
+        return OmegaConf.to_container(compose("prgbd", overrides=normalise(arguments)), resolve=True)
 
 
 @pytest.mark.parametrize("group", GROUPS)
 def test_every_choice_of_every_group_composes(group):
-    names = [path.stem for path in (CONF / group).glob("*.yaml") if path.stem != "submitit"]
+    names = [path.stem for path in (CONF / group).glob("*.yaml") if path.stem != "submitit"] or TASKS
     assert names
     for name in names:
         composed("slam=orb_gtsam", "depth=monodepth2", f"+{group}={name}")
@@ -42,7 +46,7 @@ def test_yaml_of_plugins_names_registered_ids(kind):
 def test_refinement_defaults_are_the_paper_s_and_said_in_full():
     config = composed()
     given = {**config["loss"], **config["training"]}
-    defaults = {f.name: f.default for f in fields(RefinementSettings) if f.name != "seed"}
+    defaults = {f.name: f.default for f in fields(RefinementSettings)}
     assert given == defaults
     assert {k: config["loss"][k] for k in TERMS} == dict(zip(TERMS, (1.0, 0.001, 1.0, 1.0), strict=True))
 
@@ -66,7 +70,7 @@ def test_the_yaml_of_orb_gtsam_repeats_no_option():
 
 
 def test_pretraining_defaults_are_said_in_full():
-    defaults = {f.name: f.default for f in fields(PretrainingSettings) if f.name != "seed"}
+    defaults = {f.name: f.default for f in fields(PretrainingSettings)}
     assert composed()["pretraining"] == defaults
 
 
@@ -87,12 +91,13 @@ def test_each_ablation_switches_off_exactly_its_term(term):
     ],
 )
 def test_sequence_names_reach_the_data_plugin_as_they_were_typed(typed, names):
-    assert _names(composed(f"data.sequences={typed}"), "sequences") == names
+    assert names_of(read_options(composed(f"data.sequences={typed}")).data.sequences) == names
 
 
 def test_known_options_are_those_of_the_configuration():
     names = known_options()
-    assert {"seed", "training.learning_rate", "loss.photometric", "task.max_loops", "slam"} <= set(names)
+    wanted = {"seed", "training.learning_rate", "loss.photometric", "task.max_loops", "task.png_scale", "slam", "task"}
+    assert wanted <= set(names)
     assert not any(name.startswith("hydra") for name in names)
 
 

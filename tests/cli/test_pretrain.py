@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from prgbd import register_depth
-from prgbd.cli.settings import weight_options
+from prgbd.cli.task_options import PretrainTask
+from prgbd.cli.tasks.pretrain import weight_options
 from prgbd.core.errors import ConfigError
 from prgbd.loop.refining import TrainingProgress
 from prgbd.plugins.depth.monodepth2 import Monodepth2
@@ -80,10 +81,10 @@ def test_a_flag_is_true_or_false(cli):
 
 def test_only_what_differs_from_the_default_reaches_save_weights():
     monodepth2 = object.__new__(Monodepth2)
-    assert weight_options({"task": {"half": False, "pose": True}}, Tiny()) == {}
-    assert weight_options({"task": {"half": True, "pose": False}}, monodepth2) == {"half": True, "pose": False}
+    assert weight_options(PretrainTask(), Tiny()) == {}
+    assert weight_options(PretrainTask(half=True, pose=False), monodepth2) == {"half": True, "pose": False}
     with pytest.raises(ConfigError, match=r"Tiny cannot .*task\.pose=false"):
-        weight_options({"task": {"pose": False}}, Tiny())
+        weight_options(PretrainTask(pose=False), Tiny())
 
 
 def test_demo_weights_learn_from_neither_the_demo_nor_the_test():

@@ -95,8 +95,8 @@ def test_what_differs_from_the_defaults_is_described():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"precision": "bf16"}, r"sensing\.precision is 'bf16'; choose one of auto"),
-        ({"precision": 16}, r"sensing\.precision is '16'"),
+        ({"precision": "bf16"}, r"sensing\.precision is 'bf16'; it must be auto"),
+        ({"precision": 16}, r"sensing\.precision is 16"),
         ({"channels_last": "yes"}, r"sensing\.channels_last is 'yes'; it must be true or false"),
         ({"compile": 1}, r"sensing\.compile is 1"),
     ],

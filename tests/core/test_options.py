@@ -15,7 +15,15 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
 from prgbd.core.errors import ConfigError
-from prgbd.core.options import checked_arguments, from_mapping, option_names, schema, unknown_option, wanted
+from prgbd.core.options import (
+    check_types,
+    checked_arguments,
+    from_mapping,
+    option_types,
+    schema,
+    unknown_option,
+    wanted,
+)
 
 if TYPE_CHECKING:
     from nowhere import Camera  # type: ignore[import-not-found]
@@ -107,6 +115,7 @@ def test_values_get_the_types_of_their_fields(name, given, value):
         ({"count": None}, "slam.count is None; it must be a whole number."),
         ({"learning_rate": "fast"}, "slam.learning_rate is 'fast'; it must be a number."),
         ({"learning_rate": [1]}, "slam.learning_rate is [1]; it must be a number."),
+        ({"flag": 1}, "slam.flag is 1; it must be true or false."),
         ({"flag": "perhaps"}, "slam.flag is 'perhaps'; it must be true or false."),
         ({"name": [1]}, "slam.name is [1]; it must be text."),
         ({"ratio": "x"}, "slam.ratio is 'x'; it must be a number or null."),
@@ -184,14 +193,27 @@ def test_the_schema_has_names_defaults_and_types():
     assert plain["tracking"] == {"levels": 8, "scale_factor": 1.5, "batch_size": 3}
     assert from_mapping(Options, plain, "slam") == Options()
     node.tracking.levels = 4
+    node.count = 3.0
     with pytest.raises(ValidationError):
         node.learning_rate = "fast"
     with pytest.raises(ValidationError):
         node.tracking.levels = "x"
 
 
+def test_a_schema_may_have_fewer_fields_and_more():
+    plain = OmegaConf.to_container(OmegaConf.structured(schema(Tracking, without=["levels"], name="t")))
+    assert plain == {"scale_factor": 1.2, "batch_size": 3, "name": "t"}
+
+
+@pytest.mark.parametrize("wrong", [{"count": 1.5}, {"flag": "yes"}, {"features": "many"}, {"scale": "loose"}])
+def test_types_of_what_was_made_from_python(wrong):
+    check_types(Options(learning_rate=1, caps=[3, 4]), "slam")
+    with pytest.raises(ConfigError, match=rf"^slam\.{next(iter(wrong))} is "):
+        check_types(Options(**wrong), "slam")
+
+
 def test_all_names():
-    assert option_names(Options, "slam")[:4] == [
+    assert list(option_types(Options, "slam"))[:4] == [
         "slam.tracking.levels",
         "slam.tracking.scale_factor",
         "slam.tracking.batch_size",

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import ConfigError
+from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.loop.criterion import stop_reason
-from prgbd.loop.depth_figures import DepthProtocol, depth_figures, evenly, write_samples
+from prgbd.loop.depth_figures import depth_figures, evenly, write_samples
 from prgbd.loop.loop_parts import LoopParts
-from prgbd.loop.loop_settings import LoopSettings
+from prgbd.loop.loop_settings import LoopSettings, SensingSettings
 from prgbd.loop.monitor import SilentMonitor
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name
 from prgbd.loop.sensing import DepthSensor
@@ -48,14 +49,18 @@ def test_names_are_the_paper_s():
         {"max_loops": -1},
         {"max_loops": 1.5},
         {"min_improvement": 1.0},
-        {"baseline_percentile": 0},
-        {"baseline_percentile": 101},
         {"first_teacher": "posenet"},
     ],
 )
 def test_settings_are_checked(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         LoopSettings(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"baseline_percentile": 0}, {"baseline_percentile": 101}, {"batch_size": 0}])
+def test_settings_of_the_sensor_are_checked(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        SensingSettings(**wrong)
 
 
 def test_evenly_spaced():
@@ -87,7 +92,9 @@ def test_depth_figures_count_images_with_truth(tmp_path):
         def depth(self, index):
             return None
 
-    figures = depth_figures([DepthSensor(Tiny(), Blind(frames=6), tmp_path, name="t")], DepthProtocol(images=None))
+    figures = depth_figures(
+        [DepthSensor(Tiny(), Blind(frames=6), tmp_path, name="t")], EvaluationSettings(depth_images=None)
+    )
     assert (figures["images"], figures["images_without_truth"]) == (3, 3)
     assert depth_figures([DepthSensor(Tiny(), NoTruth(frames=6), tmp_path, name="t")]) is None
 

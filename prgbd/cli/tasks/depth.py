@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.cli import settings
 from prgbd.cli.job import Job
-from prgbd.cli.option_values import number
+from prgbd.cli.task_options import DepthTask
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
-from prgbd.core.errors import ConfigError
 from prgbd.io.files import write_json
 from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.sensing import DepthSensor
@@ -26,12 +24,11 @@ _PNG_MAX = 65535
 def run(job: Job) -> None:
     """Write the depth of every sequence, and its figures where there is truth."""
     sequences = [*job.parts.sequences, *job.parts.test_sequences]
-    scale, every = _options(job)
     sensors = [make_sensor(job, sequence) for sequence in sequences]
     written = {}
     for sensor in sensors:
         name = sensor.sequence.name
-        written[name] = job.store.step(f"depth/{name}", partial(_write_depth, job, sensor, scale, every))
+        written[name] = job.store.step(f"depth/{name}", partial(_write_depth, job, sensor))
         job.display.say(f"  {name}: {written[name]['frames']} depth maps in {job.shown(job.store.path('depth', name))}")
     summary = evaluate(job, sensors, {"depth_maps": written})
     report(job, summary)
@@ -40,16 +37,16 @@ def run(job: Job) -> None:
 def make_sensor(job: Job, sequence: Sequence) -> DepthSensor:
     """Make the network the depth sensor of a sequence."""
     assert job.parts.estimator is not None
-    cache = job.config["sensing"].get("cache")
+    sensing = job.options.sensing
     return DepthSensor(
         job.parts.estimator,
         sequence,
-        job.store.path("cache") if cache is None else Path(cache),
+        sensing.cache or job.store.path("cache"),
         name=job.parts.ids["depth"],
-        percentile=float(number(job.config, "sensing.baseline_percentile")),
-        batch_size=settings.batch_size(job.config),
+        percentile=sensing.baseline_percentile,
+        batch_size=sensing.frames_at_once,
         monitor=job.display,
-        computing=settings.computing(job.config),
+        computing=sensing,
         fabric=job.trainer.fabric,
     )
 
@@ -71,11 +68,10 @@ def evaluate(
     Returns:
         The summary.
     """
-    protocol = settings.depth_protocol(job.config)
 
     def work() -> dict[str, Any] | None:
         write_samples(sensors, job.store.loop(0, "depth", "samples.npz"))
-        return depth_figures(sensors, protocol)
+        return depth_figures(sensors, job.options.evaluation)
 
     figures = job.store.step("loops/00/depth", work)
     statistics = {sensor.sequence.name: sensor.prepare() for sensor in sensors}
@@ -88,42 +84,34 @@ def evaluate(
         "baseline": {name: found.adaptive_baseline for name, found in statistics.items()},
         "depth_max": {name: found.depth_max for name, found in statistics.items()},
     }
-    if job.config["sensing"].get("cache") is None:
+    if job.options.sensing.cache is None:
         for sensor in sensors:
             sensor.forget()
     sequences = [sensor.sequence for sensor in sensors]
-    return write_summary(job.store, settings.identity(job.config, job.parts), sequences, [entry], more=more)
+    return write_summary(job.store, job.identity, sequences, [entry], more=more)
 
 
-def _options(job: Job) -> tuple[float, int]:
-    task = job.config["task"]
-    scale, every = task.get("png_scale", 256.0), task.get("every", 1)
-    if isinstance(scale, bool) or not isinstance(scale, int | float) or not scale > 0:
-        raise ConfigError(f"task.png_scale is {scale!r}; it must be a positive number.")
-    if isinstance(every, bool) or not isinstance(every, int) or every < 1:
-        raise ConfigError(f"task.every is {every!r}; it must be a whole number, 1 or more.")
-    return float(scale), every
-
-
-def _write_depth(job: Job, sensor: DepthSensor, scale: float, every: int) -> dict[str, Any]:
+def _write_depth(job: Job, sensor: DepthSensor) -> dict[str, Any]:
     """Write ``depth/SEQ/{png,preview,npz}``; return the counts and the scale of the PNG values."""
+    options = job.options.task
+    assert isinstance(options, DepthTask)
     statistics = sensor.prepare()
     near, far = _preview_range(statistics.median)
-    indices = range(0, len(sensor), every)
+    indices = range(0, len(sensor), options.every)
     clipped = 0
     with job.store.new_folder(job.store.path("depth", sensor.sequence.name)) as folder:
         with job.display.stage(f"Writing {sensor.sequence.name}", len(indices)) as progress:
             for index in indices:
                 depth = sensor.depth(index)
-                clipped += write_depth_png(depth, folder / "png" / f"{index:06d}.png", scale)
+                clipped += write_depth_png(depth, folder / "png" / f"{index:06d}.png", options.png_scale)
                 write_preview(depth, folder / "preview" / f"{index:06d}.jpg", near, far)
-                if job.config["task"].get("npz"):
+                if options.npz:
                     (folder / "npz").mkdir(exist_ok=True)
                     np.savez_compressed(folder / "npz" / f"{index:06d}.npz", depth=depth)
                 progress.advance()
         noted = {
             "frames": len(indices),
-            "png_scale": scale,
+            "png_scale": options.png_scale,
             "unit": "m" if sensor.estimator.metric else "up to scale",
             "pixels_beyond_png": clipped,
             "preview_range": [near, far],

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from prgbd.cli import settings
 from prgbd.cli.job import Job
+from prgbd.cli.task_options import EvaluateTask
 from prgbd.cli.tasks.depth import evaluate as evaluate_depth
 from prgbd.cli.tasks.depth import make_sensor
 from prgbd.cli.tasks.reporting import report
@@ -33,19 +33,20 @@ def run(job: Job) -> None:
         loops = [{**summary["loops"][0], "pose": pose}]
     else:
         loops = [{"loop": 0, "name": "trajectory", "pose": pose, "depth": None, "training": None}]
-    report(job, write_summary(job.store, settings.identity(job.config, job.parts), sequences, loops))
+    report(job, write_summary(job.store, job.identity, sequences, loops))
 
 
 def _evaluate_trajectory(job: Job, sequences: list[Sequence]) -> dict[str, Any]:
-    given = job.config["task"].get("trajectory")
-    if given is None:
+    assert isinstance(job.options.task, EvaluateTask)
+    path = job.options.task.trajectory
+    if path is None:
         return {}
     if len(sequences) != 1:
         names = ", ".join(sequence.name for sequence in sequences)
         raise ConfigError(f"task.trajectory belongs to one recording, not to {names}; name it in data.sequences=[...].")
     sequence = sequences[0]
-    trajectory = read_trajectory(Path(given), sequence)
-    alignment = str(job.config["evaluation"]["alignment"])
+    trajectory = read_trajectory(path, sequence)
+    alignment = job.options.evaluation.alignment
     figures = evaluate_trajectory(trajectory, len(sequence), sequence.poses, sequence.timestamps, alignment=alignment)
     return {sequence.name: {**figures, "keyframes": None, "points": None, "fps": None, "lost_frames": None}}
 

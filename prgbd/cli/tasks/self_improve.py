@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from prgbd.cli import settings
 from prgbd.cli.job import Job
 from prgbd.cli.tasks.reporting import report
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.self_improving import SelfImprovingLoop
+from prgbd.loop.viewing import viewer_maker
 
 
 def run(job: Job) -> None:
     """Run the loop and write its report."""
-    parts, config = job.parts, job.config
+    parts, options = job.parts, job.options
     assert parts.estimator is not None
     assert parts.make_slam is not None
     loop = LoopParts(
         estimator=parts.estimator,
         make_slam=parts.make_slam,
         sequences=parts.sequences,
-        settings=settings.loop_settings(config, parts.baseline),
+        settings=options.loop,
         store=job.store,
-        identity=settings.identity(config, parts),
-        refinement=settings.refinement_settings(config),
+        identity=job.identity,
+        refinement=options.training,
         trainer=job.trainer,
         test_sequences=parts.test_sequences,
         depth_tests=parts.depth_tests,
         baselines=parts.make_baselines,
         monitor=job.display,
-        make_viewer=settings.viewer_maker(config),
+        make_viewer=viewer_maker(options.viz or "none"),
     )
     report(job, SelfImprovingLoop(loop).run())

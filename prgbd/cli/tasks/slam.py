@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from prgbd.cli import settings
 from prgbd.cli.job import Job
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
@@ -18,6 +16,7 @@ from prgbd.loop.pose_refinement import step_name
 from prgbd.loop.self_improving import SelfImprovingLoop
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
 from prgbd.loop.summary import write_summary, write_truth
+from prgbd.loop.viewing import viewer_maker
 
 NAMES = {"mono": "RGB", "rgbd": "RGB-D", "stereo": "Stereo"}
 
@@ -29,26 +28,26 @@ def run(job: Job) -> None:
         ConfigError: If one file would have to take the maps of several recordings.
     """
     several = len(job.parts.sequences) + len(job.parts.test_sequences) > 1
-    if several and isinstance(settings.map_files(job.config).save, Path):
+    if several and isinstance(job.options.slam.maps.save, Path):
         raise ConfigError("slam.save_map names one file for the maps of several recordings; use slam.save_map=true.")
     report(job, _on_pseudo_depth(job) if job.parts.mode == "pseudo_rgbd" else _on_recording(job))
 
 
 def _on_pseudo_depth(job: Job) -> dict[str, Any]:
     """The self-improving loop without a refinement."""
-    parts, config = job.parts, job.config
+    parts = job.parts
     assert parts.estimator is not None
     assert parts.make_slam is not None
     loop = LoopParts(
         estimator=parts.estimator,
         make_slam=parts.make_slam,
         sequences=[*parts.sequences, *parts.test_sequences],
-        settings=replace(settings.loop_settings(config, parts.baseline), max_loops=0),
+        settings=job.options.loop,
         store=job.store,
-        identity=settings.identity(config, parts),
+        identity=job.identity,
         trainer=job.trainer,
         monitor=job.display,
-        make_viewer=settings.viewer_maker(config),
+        make_viewer=viewer_maker(job.options.viz or "none"),
     )
     return SelfImprovingLoop(loop).run()
 
@@ -70,26 +69,25 @@ def _on_recording(job: Job) -> dict[str, Any]:
         "depth_max": {},
     }
     seconds = sum(figures["seconds"] or 0.0 for figures in pose.values())
-    return write_summary(job.store, settings.identity(job.config, job.parts), sequences, [entry], seconds=seconds)
+    return write_summary(job.store, job.identity, sequences, [entry], seconds=seconds)
 
 
 def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
-    parts = job.parts
+    parts, options = job.parts, job.options
     assert parts.make_slam is not None
     given = sensor_input(sequence, parts.mode, parts.baseline)
-    make_viewer = settings.viewer_maker(job.config)
+    make_viewer = viewer_maker(options.viz or "none")
     viewer = None if make_viewer is None else make_viewer(sequence, job.store.path("viz", f"00-{sequence.name}"))
-    maps = settings.map_files(job.config)
     result = run_slam(
         parts.make_slam,
         sequence,
         given,
-        seed=int(job.config["seed"]),
+        seed=options.seed,
         monitor=job.display,
         viewer=viewer,
-        load_map=maps.load,
-        save_map=maps.target(job.store.folder, sequence.name),
+        load_map=options.slam.maps.load,
+        save_map=options.slam.maps.target(job.store.folder, sequence.name),
     )
     with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
-        save_result(result, folder, settings.export_formats(job.config), frame=sequence.frame)
-    return pose_figures(result, sequence, str(job.config["evaluation"]["alignment"]))
+        save_result(result, folder, options.export, frame=sequence.frame)
+    return pose_figures(result, sequence, options.evaluation.alignment)

@@ -1,0 +1,94 @@
+"""Errors of Hydra and OmegaConf in one sentence."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException, ValidationError
+
+from prgbd.cli.hydra_bridge import options_class
+from prgbd.cli.options import CommonOptions
+from prgbd.cli.task_options import TASKS
+from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.core.options import listed, option_types, refused, unknown_option
+from prgbd.core.registry import KINDS, REGISTRY, parse_id
+
+
+def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdError:
+    """Turn an error of Hydra or OmegaConf into one sentence.
+
+    Args:
+        error: What Hydra raised while it put the configuration together.
+
+    Returns:
+        The error to raise in its place.
+    """
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        return _unknown_choice(str(error.missing_cfg_file), list(error.options or ()))
+    if isinstance(error, OverrideParseException):
+        return ConfigError(
+            f"'{error.override.lstrip('+')}' is not understood; write option=value, and put values with special "
+            "characters in quotes: \"option='value'\"."
+        )
+    text = str(error)
+    cause = error.__cause__ or error.__context__ or error
+    if isinstance(cause, ValidationError) and cause.full_key:
+        return refused(cause.full_key, cause.value, _type_of(cause.full_key))
+    several = re.search(r"Ambiguous value for argument '([^']+)'", text)
+    if several:
+        return ConfigError(f"'{several[1]}' names several values; add -m to run them all, or write a list: key=[a,b].")
+    missing = re.search(r"Could not override '([^']+)'", text) or re.search(r"not in '\w+'\s+full_key: (\S+)", text)
+    if missing:
+        return unknown_option(missing[1], known_options())
+    return ConfigError(f"The configuration does not hold together: {' '.join(text.split())}; see --help.")
+
+
+def _type_of(key: str) -> Any:
+    types = known_options()
+    return types.get(key) or types.get(re.sub(r"(\[\d+\])+$", "", key), dict[str, Any])
+
+
+def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
+    group, _, name = path.removesuffix(".yaml").partition("/")
+    if group == "hydra":
+        package = {"joblib": "'prgbd[joblib]'", "submitit_slurm": "hydra-submitit-launcher"}.get(name.split("/")[-1])
+        mend = f"pip install {package}" if package else "see --hydra-help"
+        return ConfigError(f"Hydra's {path} is not installed; {mend}.")
+    if group in KINDS:
+        try:
+            parse_id(name)
+            REGISTRY.resolve(group, name)
+        except PrgbdError as error:
+            return error
+    near = difflib.get_close_matches(name, options, n=3, cutoff=0.5)
+    hint = f"did you mean {listed(near)}?" if near else f"there are {listed(sorted(options))}."
+    return ConfigError(f"There is no {group} '{name}'; {hint}")
+
+
+def known_options() -> dict[str, Any]:
+    """Return the types of all options by their dotted names; Any for those of YAML files, and for the groups."""
+    types = option_types(CommonOptions)
+    for task in TASKS.values():
+        types |= option_types(task, "task")
+    for spec in (spec for kind in KINDS for spec in REGISTRY.specs(kind)):
+        if (options := options_class(spec)) is not None:
+            types |= option_types(options, spec.kind)
+    folder = Path(str(resources.files("prgbd.conf")))
+    groups = [path.name for path in folder.iterdir() if path.is_dir() and not path.name.startswith("_")]
+    for path in folder.glob("*/*.yaml"):
+        if path.parent.name not in ("experiment", "executor"):
+            node = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+            types |= dict.fromkeys(_dotted(node, path.parent.name), Any)
+    return types | dict.fromkeys(("task", *groups), Any)
+
+
+def _dotted(node: Any, prefix: str) -> list[str]:
+    if not isinstance(node, dict):
+        return [prefix]
+    return [name for key, value in node.items() if key != "defaults" for name in _dotted(value, f"{prefix}.{key}")]
