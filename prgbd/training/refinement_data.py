@@ -104,7 +104,7 @@ class SupervisedImages:
 def resized_pixels(uv: NDArray[np.float32], before: PinholeCamera, after: PinholeCamera) -> NDArray[np.float32]:
     """Move pixels (..., 2) from one image size of a camera to another."""
     scale = np.array([after.width / before.width, after.height / before.height])
-    return np.asarray(resize_pixels(uv, scale), np.float32)
+    return np.asarray(resize_pixels(uv.astype(np.float64), scale), np.float32)
 
 
 def decode_images(
