@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -274,18 +274,19 @@ class Settings:
         """
         refuse_former_options(options)
         given = dict(options)
-        if "solver" in given:
-            group = given.get("optimisation", {})
-            group = vars(group) if isinstance(group, OptimisationOptions) else group
-            given["optimisation"] = {**group, "solver": given.pop("solver")}
-        return from_mapping(cls, given, "slam")
+        solver = given.pop("solver", None)
+        settings = from_mapping(cls, given, "slam")
+        if solver is None:
+            return settings
+        optimisation = vars(settings.optimisation) | {"solver": solver}
+        return replace(settings, optimisation=from_mapping(OptimisationOptions, optimisation, "slam.optimisation"))
 
 
 def _require_within(group: str, options: object, **ranges: tuple[float, float]) -> None:
     """Refuse numbers out of their range; "auto" passes."""
     for name, (least, most) in ranges.items():
         value = getattr(options, name)
-        if value == AUTO or (least <= value <= most and math.isfinite(value)):
+        if value == AUTO or (isinstance(value, int | float) and math.isfinite(value) and least <= value <= most):
             continue
         wanted = f"at least {least}" if math.isinf(most) else f"from {least} to {most}"
         raise ConfigError(f"slam.{group}.{name} is {value!r}; it must be {wanted}.")

@@ -15,7 +15,13 @@ from prgbd.core.types import PinholeCamera
 from prgbd.plugins.slam import orb_gtsam
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
 from prgbd.plugins.slam.orb_gtsam.former_options import FORMER_OPTIONS
-from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions, KeyframeOptions, Settings, TrackingOptions
+from prgbd.plugins.slam.orb_gtsam.settings import (
+    FeatureOptions,
+    KeyframeOptions,
+    OptimisationOptions,
+    Settings,
+    TrackingOptions,
+)
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import keypoints_to_start
 
 
@@ -72,6 +78,11 @@ def test_a_bad_value_is_named(group, name, value) -> None:
         OrbGtsamSLAM(**{group: {name: value}})
 
 
+def test_a_class_checks_its_ranges() -> None:
+    with pytest.raises(ConfigError, match=r"slam\.features\.count is 'many'"):
+        FeatureOptions(count="many")  # type: ignore[arg-type]
+
+
 def test_a_plain_value_is_no_group() -> None:
     with pytest.raises(ConfigError, match=r"slam\.tracking"):
         OrbGtsamSLAM(tracking=40)
@@ -112,8 +123,11 @@ def test_former_names_lead_to_what_is_there() -> None:
 
 
 def test_solver_is_short_for_that_of_the_optimisation() -> None:
-    settings = OrbGtsamSLAM(solver="gtsam", optimisation={"full_ba_keyframes": 50}).settings
-    assert (settings.optimisation.solver, settings.optimisation.full_ba_keyframes) == ("gtsam", 50)
+    for given in ({"full_ba_keyframes": 50}, OptimisationOptions(full_ba_keyframes=50)):
+        settings = OrbGtsamSLAM(solver="gtsam", optimisation=given).settings
+        assert settings.optimisation == OptimisationOptions(solver="gtsam", full_ba_keyframes=50)
+    with pytest.raises(ConfigError, match=r"slam\.optimisation\.solver is 'ceres'"):
+        OrbGtsamSLAM(solver="ceres")
 
 
 def test_options_are_read_without_loading_the_system() -> None:
