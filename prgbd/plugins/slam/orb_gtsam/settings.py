@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError
-from prgbd.core.options import from_mapping
+from prgbd.core.options import check_types, from_mapping
 from prgbd.plugins.slam.orb_gtsam.former_options import refuse_former_options
 
 Auto = Literal["auto"]
@@ -46,8 +46,8 @@ class FeatureOptions:
     fast_threshold_low: int = 7
 
     def __post_init__(self) -> None:
-        _require_within("features", self, count=(1, math.inf), levels=(1, 16), fast_threshold=(1, 254))
-        _require_within("features", self, fast_threshold_low=(1, self.fast_threshold))
+        thresholds = {"fast_threshold": (1, 254), "fast_threshold_low": (1, self.fast_threshold)}
+        _check("features", self, count=(1, math.inf), levels=(1, 16), **thresholds)
         if not 1 < self.scale_factor < math.inf:
             raise ConfigError(f"slam.features.scale_factor is {self.scale_factor}; it must exceed 1.")
 
@@ -87,7 +87,7 @@ class TrackingOptions:
     restart_extrapolate: int = 60
 
     def __post_init__(self) -> None:
-        _require_within("tracking", self, **dict.fromkeys(self.__dataclass_fields__, (0, math.inf)))
+        _check("tracking", self, **dict.fromkeys(self.__dataclass_fields__, (0, math.inf)))
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class KeyframeOptions:
 
     def __post_init__(self) -> None:
         names = ("ratio", "ratio_first", "ratio_mono", "thin_mono", "close_tracked", "min_interval")
-        _require_within("keyframes", self, **dict.fromkeys(names, (0, math.inf)), held=(0, 1))
+        _check("keyframes", self, **dict.fromkeys(names, (0, math.inf)), held=(0, 1))
 
     def take_outliers(self, mode: str) -> bool:
         """Say whether keyframes take refuted matches along in a mode of the system."""
@@ -144,7 +144,7 @@ class MappingOptions:
     queue: int = 0
 
     def __post_init__(self) -> None:
-        _require_within("mapping", self, **dict.fromkeys(self.__dataclass_fields__, (0, math.inf)))
+        _check("mapping", self, **dict.fromkeys(self.__dataclass_fields__, (0, math.inf)))
 
     def neighbours_in(self, *, mono: bool) -> int:
         """Return the number of covisible keyframes to work with."""
@@ -172,7 +172,7 @@ class LoopClosingOptions:
     bundle_adjustment: bool = True
 
     def __post_init__(self) -> None:
-        _require_within("loop_closing", self, min_interval=(0, math.inf))
+        _check("loop_closing", self, min_interval=(0, math.inf))
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class DepthOptions:
 
     def __post_init__(self) -> None:
         names = ("close", "trust", "sigma", "sigma_far", "border")
-        _require_within("depth", self, **dict.fromkeys(names, (0, math.inf)), shared=(1, math.inf))
+        _check("depth", self, **dict.fromkeys(names, (0, math.inf)), shared=(1, math.inf))
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class OptimisationOptions:
 
     def __post_init__(self) -> None:
         names = ("local_ba_keyframes", "full_ba_keyframes", "focal_length_sigma")
-        _require_within("optimisation", self, **dict.fromkeys(names, (0, math.inf)))
+        _check("optimisation", self, **dict.fromkeys(names, (0, math.inf)))
 
 
 @dataclass(frozen=True)
@@ -282,11 +282,12 @@ class Settings:
         return replace(settings, optimisation=from_mapping(OptimisationOptions, optimisation, "slam.optimisation"))
 
 
-def _require_within(group: str, options: object, **ranges: tuple[float, float]) -> None:
-    """Refuse numbers out of their range; "auto" passes."""
+def _check(group: str, options: object, **ranges: tuple[float, float]) -> None:
+    """Refuse values of another type, and numbers out of their range; "auto" passes."""
+    check_types(options, f"slam.{group}")
     for name, (least, most) in ranges.items():
         value = getattr(options, name)
-        if value == AUTO or (isinstance(value, int | float) and math.isfinite(value) and least <= value <= most):
+        if value == AUTO or (math.isfinite(value) and least <= value <= most):
             continue
         wanted = f"at least {least}" if math.isinf(most) else f"from {least} to {most}"
         raise ConfigError(f"slam.{group}.{name} is {value!r}; it must be {wanted}.")

@@ -78,9 +78,13 @@ def test_a_bad_value_is_named(group, name, value) -> None:
         OrbGtsamSLAM(**{group: {name: value}})
 
 
-def test_a_class_checks_its_ranges() -> None:
+def test_a_class_checks_types_and_ranges() -> None:
     with pytest.raises(ConfigError, match=r"slam\.features\.count is 'many'"):
         FeatureOptions(count="many")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"slam\.keyframes\.outliers is 'maybe'"):
+        KeyframeOptions(outliers="maybe")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=r"slam\.features\.fast_threshold_low is 25"):
+        FeatureOptions(fast_threshold_low=25)
 
 
 def test_a_plain_value_is_no_group() -> None:
