@@ -58,11 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    from prgbd.cli.display import make_console
-    from prgbd.cli.help import print_help
-
     if "--help" in arguments or "-h" in arguments:
-        print_help(make_console())
+        _help([argument for argument in arguments if argument not in ("--help", "-h")])
         return 0
     normalised = normalise(arguments)
     for option in ("out", "resume"):
@@ -75,6 +72,21 @@ def _main(arguments: list[str]) -> int:
         resume(resume_from, normalised)
         return 0
     return _through_hydra(normalised)
+
+
+def _help(arguments: list[str]) -> None:
+    """Print the help, or that of the groups and options which are named."""
+    from prgbd.cli.display import make_console
+    from prgbd.cli.help import print_help
+
+    names = [argument for argument in arguments if "=" not in argument and not argument.startswith("-")]
+    if not names:
+        print_help(make_console())
+        return
+    from prgbd.cli.option_help import print_option_help
+
+    for name in names:
+        print_option_help(make_console(), name)
 
 
 def _through_hydra(arguments: list[str]) -> int:

@@ -88,7 +88,7 @@ def print_help(console: Console) -> None:
         console.print(table)
         console.print()
     console.print(
-        "python -m prgbd.plugins lists the plug-ins with a line each; --cfg job prints the whole configuration of a "
-        "command without running it.",
+        "python -m prgbd --help training (sensing, task, evaluation, slam, ..., or one option) says what its options "
+        "mean; python -m prgbd.plugins lists the plug-ins; --cfg job prints the configuration of a command.",
         style="dim",
     )

@@ -23,6 +23,8 @@ from prgbd.training.refinement_settings import TERMS
 
 log = logging.getLogger(__name__)
 CONF_GROUP = "prgbd.conf"
+LOSS_WEIGHTS = tuple(f"training.{term}" for term in TERMS)
+"""Fields of the training's settings that the group ``loss`` sets."""
 OPEN_GROUPS = (*KINDS, "task", "loss", "trainer", "logger")
 """Nodes of the configuration whose options depend on what is chosen."""
 
@@ -54,8 +56,7 @@ def register() -> None:
     """Tell Hydra the types and defaults of all options, the tasks and the plug-ins."""
     Plugins.instance().register(PluginPackagesSearchPath)
     store = ConfigStore.instance()
-    weights = [f"training.{term}" for term in TERMS]  # the group ``loss`` has them
-    store.store(name="options", node=schema(CommonOptions, weights, **{group: {} for group in OPEN_GROUPS}))
+    store.store(name="options", node=schema(CommonOptions, LOSS_WEIGHTS, **{group: {} for group in OPEN_GROUPS}))
     for name, options in TASKS.items():
         # Plain, for an experiment may set options of its task where the command line chooses another one.
         store.store(name=name, group="task", node={"name": name, **asdict(options())})
