@@ -17,7 +17,7 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.task_options import TASKS
-from prgbd.core.options import schema
+from prgbd.core.option_schema import schema
 from prgbd.core.registry import KINDS, REGISTRY, PluginSpec
 from prgbd.training.refinement_settings import TERMS
 

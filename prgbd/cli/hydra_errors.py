@@ -16,7 +16,8 @@ from prgbd.cli.hydra_bridge import options_class
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.task_options import TASKS
 from prgbd.core.errors import ConfigError, PrgbdError
-from prgbd.core.options import listed, option_types, refused, unknown_option
+from prgbd.core.option_errors import listed, refused, unknown_option
+from prgbd.core.options import option_types
 from prgbd.core.registry import KINDS, REGISTRY, parse_id
 
 

@@ -16,7 +16,7 @@ from prgbd.cli.hydra_bridge import LOSS_WEIGHTS, options_class
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.plugin_choices import CHOICES, LOOP_KEYS
 from prgbd.cli.task_options import TASKS
-from prgbd.core.options import dotted, unknown_option
+from prgbd.core.option_errors import dotted, unknown_option
 from prgbd.core.registry import REGISTRY
 
 _ATTRIBUTES = re.compile(r"^Attributes:\n((?:[ ]{4}.*\n?|\n)+)", re.MULTILINE)

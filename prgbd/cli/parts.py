@@ -12,7 +12,7 @@ from prgbd.cli.options import RunOptions
 from prgbd.cli.plugin_choices import DataChoice
 from prgbd.cli.task_options import EvaluateTask
 from prgbd.core.errors import ConfigError, DataError, PrgbdError
-from prgbd.core.options import listed
+from prgbd.core.option_errors import listed
 from prgbd.core.registry import KINDS, REGISTRY
 from prgbd.core.wrappers import wrap
 from prgbd.loop.loop_settings import SelfImprovement

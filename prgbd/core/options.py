@@ -2,8 +2,8 @@
 
 A dataclass says the name, the type, the default and (in its ``__post_init__``) the range of every option of a part;
 its docstring says what each means. ``from_mapping`` makes one of what a user gave and says in one sentence what cannot
-work; ``checked_arguments`` does so for the keyword parameters of a plug-in that names no dataclass; ``schema`` turns
-the dataclass into a structured config for Hydra's ConfigStore, so that the command line knows the same names and types.
+work; ``checked_arguments`` does so for the keyword parameters of a plug-in that names no dataclass; ``option_schema``
+makes it a structured config for Hydra's ConfigStore, so that the command line knows the same names and types.
 
 Types are checked and converted by OmegaConf (``"1e-6"`` is a float, ``true`` is no whole number, a list serves for a
 tuple). What OmegaConf 2.3 does not know is decided here by the annotation alone: ``Literal``, alternatives such as
@@ -13,26 +13,22 @@ types (a ``Camera``, an array) pass as they are.
 
 from __future__ import annotations
 
-import copy
-import difflib
 import functools
 import inspect
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import MISSING, Field, field, fields, is_dataclass, make_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from types import NoneType, SimpleNamespace, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_errors import dotted, refused, unknown_option
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 T = TypeVar("T")
-
-_WORDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text", Path: "a file or folder"}
-_WORDS_OF_SEVERAL = {int: "whole numbers", float: "numbers", bool: "truth values", str: "texts"}
 
 
 def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
@@ -55,7 +51,7 @@ def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
 
 def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: Collection[str]) -> T:
     """Make a dataclass, which may be a group of a larger one; ``all_names`` are what an unknown name may stand for."""
-    hints = _hints(cls)
+    hints = field_types(cls)
     known = {option.name: option for option in fields(cls)}  # type: ignore[arg-type]
     _check_names(given, known, prefix, all_names)
     values = {}
@@ -64,7 +60,7 @@ def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: Collec
         if name not in given:
             if option.default is MISSING and option.default_factory is MISSING:
                 raise ConfigError(f"The option {key} has no default; add {key}=...")
-        elif _is_group(hints[name]) and isinstance(given[name], Mapping):
+        elif is_group(hints[name]) and isinstance(given[name], Mapping):
             values[name] = _group(hints[name], option, given[name], key, all_names)
         else:
             values[name] = _converted(given[name], hints[name], key)
@@ -77,7 +73,7 @@ def check_types(options: Any, prefix: str = "") -> None:
     Raises:
         ConfigError: If a field has a value that its annotation does not allow.
     """
-    hints = _hints(type(options))
+    hints = field_types(type(options))
     for option in fields(options):
         value, key = getattr(options, option.name), dotted(prefix, option.name)
         converted = _converted(value, hints[option.name], key)
@@ -115,92 +111,18 @@ def keyword_parameters(target: Callable[..., Any]) -> dict[str, inspect.Paramete
     return {n: p for n, p in parameters.items() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
 
 
-def schema(cls: type[Any], without: Collection[str] = (), **more: Any) -> type[Any]:
-    """Return a dataclass like ``cls`` that OmegaConf takes as a structured config, for Hydra's ConfigStore.
-
-    It has the same names and defaults, no checks of ranges, and is not frozen, for OmegaConf lets nobody change the
-    groups of a frozen one. A field whose type OmegaConf does not know takes anything; ``from_mapping`` checks it.
-
-    Args:
-        cls: The dataclass.
-        without: Dotted names of fields to leave out.
-        more: Further fields that take anything, with their defaults.
-    """
-    hints = _hints(cls)
-    described: list[Any] = [
-        (option.name, kind, _schema_default(option, kind))
-        for option in fields(cls)
-        if option.name not in without
-        for kind in [_schema_type(hints[option.name], _within(option.name, without))]
-    ]
-    described += [(name, Any, field(default_factory=functools.partial(copy.copy, v))) for name, v in more.items()]
-    return make_dataclass(cls.__name__, described)
-
-
 def option_types(cls: type[Any], prefix: str = "") -> dict[str, Any]:
     """Return the types of all options of a dataclass by their dotted names, those of its groups included."""
     types: dict[str, Any] = {}
-    hints = _hints(cls)
+    hints = field_types(cls)
     for option in fields(cls):
         key, hint = dotted(prefix, option.name), hints[option.name]
-        types |= option_types(hint, key) if _is_group(hint) else {key: hint}
+        types |= option_types(hint, key) if is_group(hint) else {key: hint}
     return types
 
 
-def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
-    """Return the error for an option that does not exist; it names the nearest ones by their full dotted names.
-
-    Args:
-        key: Dotted name as the user gave it. Initials (``training.lr``), similar letters, and names without their
-            group or in another one are understood.
-        known: Dotted names of the options that exist.
-    """
-    names = sorted(known)
-    parent, _, leaf = key.rpartition(".")
-    siblings = [name for name in names if name.rpartition(".")[0] == parent]
-    groups = sorted({name.rpartition(".")[0] for name in names if name.rpartition(".")[0].rpartition(".")[0] == parent})
-    elsewhere = [name for name in names if name.rpartition(".")[2] == leaf]
-    near = (
-        _near(leaf, [*siblings, *groups])
-        or elsewhere
-        or _near(leaf, names)
-        or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
-    )
-    hint = f"did you mean {listed(near)}?" if near else f"there are {listed(siblings or names)}."
-    return ConfigError(f"There is no option '{key}'; {hint}")
-
-
-def refused(key: str, value: Any, annotation: Any) -> ConfigError:
-    """Return the error for a value that an option of a type does not take."""
-    return ConfigError(f"{key} is {value!r}; it must be {wanted(annotation)}.")
-
-
-def wanted(annotation: Any) -> str:
-    """Say in words which values a type takes: ``a whole number or auto``, ``a list of 2 numbers``."""
-    origin, parts = get_origin(annotation), get_args(annotation)
-    if annotation is NoneType:
-        return "null"
-    if origin is Literal:
-        return _either([str(part).lower() if isinstance(part, bool) else str(part) for part in parts])
-    if origin in (Union, UnionType):
-        return _either([wanted(part) for part in sorted(parts, key=lambda part: part is NoneType)])
-    if origin in (list, tuple):
-        count = f"{len(parts)} " if origin is tuple and Ellipsis not in parts else ""
-        words = wanted(parts[0]) if get_origin(parts[0]) is Literal else _WORDS_OF_SEVERAL.get(parts[0], "values")
-        return f"a list of {count}{words}"
-    if annotation in _WORDS:
-        return _WORDS[annotation]
-    if origin is dict or _is_group(annotation):
-        return "a group of options"
-    return f"a value of the type {annotation.__name__ if isinstance(annotation, type) else annotation}"
-
-
-def dotted(prefix: str, name: str) -> str:
-    """Return the full name of an option of a group."""
-    return f"{prefix}.{name}" if prefix else str(name)
-
-
-def _is_group(annotation: Any) -> TypeGuard[type[Any]]:
+def is_group(annotation: Any) -> TypeGuard[type[Any]]:
+    """Say whether a type is a dataclass, and so a group of options."""
     return isinstance(annotation, type) and is_dataclass(annotation)
 
 
@@ -208,14 +130,14 @@ def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: st
     """Make a nested dataclass; its defaults are those of the field that holds it."""
     if option.default is MISSING and option.default_factory is MISSING:
         return _made(cls, given, key, all_names)
-    default = {f.name: getattr(_default(option), f.name) for f in fields(cls)}
+    default = {f.name: getattr(default_of(option), f.name) for f in fields(cls)}
     return _made(cls, default | dict(given), key, all_names)
 
 
 def _converted(value: Any, annotation: Any, key: str) -> Any:
     """Return a value with the type of an annotation, or raise a ConfigError with the option's name."""
     origin, parts = get_origin(annotation), get_args(annotation)
-    if _is_group(annotation):
+    if is_group(annotation):
         if isinstance(value, annotation):
             return value
         if isinstance(value, Mapping):
@@ -254,7 +176,7 @@ def _alternative(value: Any, annotation: Any, key: str) -> Any:
         try:
             return _converted(value, part, key)
         except ConfigError:
-            if _is_group(part) and isinstance(value, Mapping):
+            if is_group(part) and isinstance(value, Mapping):
                 raise  # the sentence about the option within the group says more
     raise refused(key, value, annotation)
 
@@ -285,7 +207,7 @@ def _by_omegaconf(value: Any, annotation: Any, key: str) -> Any:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    box = None if annotation is Any else _box(annotation)
+    box = None if annotation is Any else box_of(annotation)
     if box is None:
         return value
     try:
@@ -295,7 +217,7 @@ def _by_omegaconf(value: Any, annotation: Any, key: str) -> Any:
 
 
 @functools.cache
-def _box(annotation: Any) -> DictConfig | None:
+def box_of(annotation: Any) -> DictConfig | None:
     """Return a structured config with one ``value`` of a type, or None if OmegaConf does not know the type."""
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
@@ -309,35 +231,8 @@ def _box(annotation: Any) -> DictConfig | None:
         return None
 
 
-def _within(group: str, names: Iterable[str]) -> list[str]:
-    return [name.removeprefix(f"{group}.") for name in names if name.startswith(f"{group}.")]
-
-
-def _schema_type(hint: Any, without: Collection[str]) -> Any:
-    """Return the type of a field in a schema."""
-    if _is_group(hint):
-        return schema(hint, without)
-    if hint in (int, int | None):
-        return hint | float  # so that 3.0 is a whole number there, too
-    if any(get_origin(part) is dict for part in get_args(hint)):
-        return Any  # OmegaConf 2.3 puts nothing into a mapping that was null
-    return Any if _box(hint) is None else hint
-
-
-def _schema_default(option: Field[Any], kind: Any) -> Any:
-    if option.default is MISSING and option.default_factory is MISSING:
-        return "???"
-    return field(default_factory=lambda: _mirrored(_default(option), kind))
-
-
-def _mirrored(value: Any, kind: Any) -> Any:
-    """Return a default of an option as its schema holds it."""
-    if not _is_group(kind):
-        return value
-    return kind(**{o.name: _mirrored(getattr(value, o.name), _hints(kind)[o.name]) for o in fields(kind)})
-
-
-def _default(option: Field[Any]) -> Any:
+def default_of(option: Field[Any]) -> Any:
+    """Return the default of a field that has one."""
     return option.default if option.default_factory is MISSING else option.default_factory()
 
 
@@ -349,7 +244,7 @@ def _check_names(given: Mapping[str, Any], names: Iterable[str], prefix: str, kn
             raise unknown_option(dotted(prefix, name), known)
 
 
-def _hints(cls: Any) -> dict[str, Any]:
+def field_types(cls: Any) -> dict[str, Any]:
     """Return the types of a dataclass's fields; Any for one that names what is not imported when it runs."""
     try:
         return get_type_hints(cls)
@@ -366,19 +261,3 @@ def _hint(owner: Any, name: str, annotation: Any) -> Any:
         return get_type_hints(SimpleNamespace(__annotations__={name: annotation}), globalns=module)[name]
     except Exception:  # an annotation may raise anything
         return Any
-
-
-def _near(leaf: str, siblings: list[str]) -> list[str]:
-    """Return the options of a group that a name may stand for: by its initials (lr), or by similar letters."""
-    leaves = {name.rpartition(".")[2]: name for name in siblings}
-    short = [n for last, n in leaves.items() if "_" in last and "".join(w[0] for w in last.split("_") if w) == leaf]
-    return short or [leaves[last] for last in difflib.get_close_matches(leaf, leaves, n=3, cutoff=0.6)]
-
-
-def listed(names: Iterable[str]) -> str:
-    """Return names in quotes, with commas."""
-    return ", ".join(f"'{name}'" for name in names) or "none"
-
-
-def _either(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

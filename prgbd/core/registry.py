@@ -18,7 +18,8 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, PrgbdError, UnknownPluginError
-from prgbd.core.options import checked_arguments, keyword_parameters, listed
+from prgbd.core.option_errors import listed
+from prgbd.core.options import checked_arguments, keyword_parameters
 
 if TYPE_CHECKING:
     from prgbd.core.data import Sequence

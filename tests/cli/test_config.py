@@ -1,5 +1,7 @@
 """The configuration that ships with prgbd."""
 
+import subprocess
+import sys
 from dataclasses import asdict, fields
 from importlib import resources
 from pathlib import Path
@@ -116,3 +118,11 @@ def test_yaml_of_plugins_gives_their_defaults(kind):
             assert name in options, f"{path}: {name}"
             if (path.stem, name) != ("monodepth2", "weights"):  # a loop that starts from scratch is of no use
                 assert options[name].default == value, f"{path}: {name}"
+
+
+def test_composing_imports_nothing_heavy():
+    code = (
+        "import sys; from prgbd.cli.hydra_bridge import register; register();"
+        "print({'torch', 'lightning', 'cv2', 'gtsam', 'numba'} & set(sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "set()"

@@ -15,15 +15,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ValidationError
 
 from prgbd.core.errors import ConfigError
-from prgbd.core.options import (
-    check_types,
-    checked_arguments,
-    from_mapping,
-    option_types,
-    schema,
-    unknown_option,
-    wanted,
-)
+from prgbd.core.option_errors import unknown_option, wanted
+from prgbd.core.option_schema import schema
+from prgbd.core.options import check_types, checked_arguments, from_mapping, option_types
 
 if TYPE_CHECKING:
     from nowhere import Camera  # type: ignore[import-not-found]
