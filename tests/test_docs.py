@@ -19,9 +19,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 
 import prgbd
 from prgbd.cli.arguments import normalise, value_of
+from prgbd.cli.option_help import print_option_help
 from prgbd.cli.options import read_options
 from prgbd.cli.settings import check_machine
 from prgbd.core.registry import REGISTRY
@@ -182,7 +184,10 @@ def test_commands_are_understood(where, command, tmp_path, monkeypatch):
     words = shlex.split(command, comments=True)
     if words[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(words[2]) is not None, where
-        if words[2] == "prgbd":
+        if words[2:4] == ["prgbd", "--help"]:
+            for name in words[4:]:
+                print_option_help(Console(quiet=True), name)
+        elif words[2] == "prgbd":
             monkeypatch.chdir(tmp_path)
             _check_run(words[3:])
     elif words[0] == "make":
