@@ -40,6 +40,8 @@ _HOMES = {
     "prgbd.core.errors": ("PrgbdError",),
     "prgbd.io.export": ("load_result", "save_result"),
     "prgbd.io.trajectory_files": ("to_evo",),
+    "prgbd.loop.improve": ("improve",),
+    "prgbd.loop.improvement": ("Improvement",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -49,6 +51,7 @@ __all__ = [
     "DepthWrapper",
     "Frame",
     "GeometricSLAM",
+    "Improvement",
     "Keyframes",
     "MapPoints",
     "Observations",
@@ -64,6 +67,7 @@ __all__ = [
     "check_depth_estimator",
     "check_sequence",
     "check_slam",
+    "improve",
     "load_result",
     "make_data",
     "make_depth",
@@ -105,6 +109,8 @@ if TYPE_CHECKING:
     from prgbd.core.wrappers import DepthWrapper
     from prgbd.io.export import load_result, save_result
     from prgbd.io.trajectory_files import to_evo
+    from prgbd.loop.improve import improve
+    from prgbd.loop.improvement import Improvement
 
 
 def __getattr__(name: str) -> Any:

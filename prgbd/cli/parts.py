@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from prgbd.cli.help import choices
 from prgbd.cli.options import RunOptions
 from prgbd.cli.plugin_choices import DataChoice
 from prgbd.cli.task_options import EvaluateTask
-from prgbd.core.errors import ConfigError, DataError, PrgbdError
+from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.option_errors import listed
 from prgbd.core.registry import KINDS, REGISTRY
 from prgbd.core.wrappers import wrap
+from prgbd.loop.baselines import baseline_makers
 from prgbd.loop.loop_settings import SelfImprovement
 from prgbd.loop.recordings import check_recordings
 from prgbd.loop.seeding import seed_everything
@@ -84,7 +85,9 @@ def make_parts(options: RunOptions) -> Parts:
         network = REGISTRY.make("depth", options.depth.id, **options.depth.options)
         parts.estimator = wrap(network, options.depth.wrappers or [])
     if isinstance(options.task, SelfImprovement):
-        parts.make_baselines = _baselines(options, options.task.all_baselines)
+        assert parts.make_slam is not None
+        network = {"id": options.depth.id, **options.depth.options}
+        parts.make_baselines = baseline_makers(options.task.all_baselines, parts.make_slam, network)
         parts.depth_tests = _depth_tests(options)
     parts.ids = {
         "slam": ids["slam"] if use_slam else "",
@@ -140,22 +143,6 @@ def _is_stereo(sequence: Sequence) -> bool:
     """Whether the right images reach from the first frame to the last: downloads that broke off have fewer."""
     ends = (0, len(sequence) - 1)
     return bool(sequence.baseline) and all(sequence.frame(index).right is not None for index in ends)
-
-
-def _baselines(options: RunOptions, names: Iterable[str]) -> dict[str, Callable[[], GeometricSLAM]]:
-    """Return what makes the baselines: the run's own SLAM for ``mono``, and the pose network beside depth.weights."""
-    network: dict[str, Any] = {"depth": options.depth.id, "weights": options.depth.options.get("weights")}
-    known = {
-        "mono": partial(REGISTRY.make, "slam", options.slam.id, **options.slam.options),
-        "posenet": partial(REGISTRY.make, "slam", "posenet", **network),
-    }
-    made: dict[str, Callable[[], GeometricSLAM]] = {name: known[name] for name in names}
-    try:
-        if "posenet" in made:
-            made["posenet"]().close()  # a missing pose network is found now, not after hours of other baselines
-    except PrgbdError as error:
-        raise type(error)(f"task.baselines=[posenet] cannot run: {error}") from error
-    return made
 
 
 def _make_sequences(choice: DataChoice) -> tuple[list[Sequence], list[Sequence]]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 from prgbd.core.data import Sequence
+from prgbd.core.errors import PrgbdError
+from prgbd.core.registry import REGISTRY
 from prgbd.core.slam import GeometricSLAM
 from prgbd.core.types import SlamResult
 from prgbd.io.export import load_result, save_result
@@ -44,6 +47,30 @@ def run_baseline(
         pose[sequence.name] = localise(kind, make_slam, sequence, settings, store, monitor)
         monitor.say("  " + describe_pose(sequence.name, pose[sequence.name]))
     return {"name": NAMES[kind], "folder": _folder(kind), "pose": pose, "depth": None, "training": None}
+
+
+def baseline_makers(
+    names: Iterable[str], make_slam: Callable[[], GeometricSLAM], network: Mapping[str, Any]
+) -> dict[str, Callable[[], GeometricSLAM]]:
+    """Return what makes the baselines: the run's own SLAM for ``mono``, and the pose network beside depth.weights.
+
+    Args:
+        names: The baselines.
+        make_slam: Makes the run's own SLAM.
+        network: ``id`` and options of the depth network.
+
+    Raises:
+        PrgbdError: If there is no pose network; it is found now, not after hours of other baselines.
+    """
+    posenet = partial(REGISTRY.make, "slam", "posenet", depth=network["id"], weights=network.get("weights"))
+    known: dict[str, Callable[[], GeometricSLAM]] = {"mono": make_slam, "posenet": posenet}
+    made = {name: known[name] for name in names}
+    try:
+        if "posenet" in made:
+            made["posenet"]().close()
+    except PrgbdError as error:
+        raise type(error)(f"task.baselines=[posenet] cannot run: {error}") from error
+    return made
 
 
 def localise(
