@@ -8,8 +8,10 @@ import re
 from collections.abc import Sequence
 
 from prgbd.core.errors import ConfigError
-from prgbd.core.registry import KINDS
+from prgbd.core.registry import KINDS, SHORT_FOR
 
+PLUGIN_GROUPS = ("slam", "depth", "data")
+"""Groups whose choices are plug-ins; of other kinds a run uses several at once, or names one in an option."""
 GROUPS = ("slam", "depth", "data", "task", "loss", "trainer", "executor", "logger", "experiment")
 FLAGS_WITH_VALUE = ("--cfg", "-c", "--package", "-p", "--config-dir", "-cd", "--config-name", "-cn", "--info", "-i")
 FLAGS = (
@@ -28,6 +30,7 @@ FLAGS = (
 )
 _OVERRIDE = re.compile(r"^(?P<prefix>\+\+|\+|~)?(?P<key>[A-Za-z_][\w./@:-]*)(?:=(?P<value>.*))?$", re.DOTALL)
 _PLAIN = re.compile(r"^[A-Za-z0-9_/.-]*$|^['\"\[{]|.*\$\{")
+_ONE_OF_A_SET = re.compile(rf"^(?P<kind>{'|'.join(SHORT_FOR)})\.[\w-]+$")
 _PLUGIN_OPTION = re.compile(rf"^(?:{'|'.join(KINDS)})\.\w")
 
 
@@ -35,8 +38,9 @@ def normalise(argv: Sequence[str]) -> list[str]:
     """Bring the arguments into the one form that Hydra takes.
 
     Groups are accepted with and without a plus (``+slam=orb_gtsam`` is ``slam=orb_gtsam``); ``slam=null`` chooses none.
-    Options of plug-ins are
-    always accepted here, because only the plug-in knows which it has; it is asked when it is made.
+    Options of plug-ins are always accepted here, because only the plug-in knows which it has; it is asked when it is
+    made. ``loss.edge=0.1`` is short for ``loss.edge.weight=0.1``, and so is ``augmentation.jitter=0.5`` for its
+    probability.
 
     Args:
         argv: Arguments without the program's name.
@@ -71,6 +75,9 @@ def _without_plus(argument: str, found: re.Match[str]) -> str:
         return argument
     if key in GROUPS:
         return f"{key}={value}"
+    short = _ONE_OF_A_SET.match(key)
+    if short is not None and not value.startswith("{"):
+        return f"++{key}.{SHORT_FOR[short['kind']]}={value}"
     if _PLUGIN_OPTION.match(key):
         return f"++{key}={_quoted(value)}"
     return f"{prefix or ''}{key}={_quoted(value)}"

@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from prgbd.cli.arguments import GROUPS
+from prgbd.cli.arguments import GROUPS, PLUGIN_GROUPS
 from prgbd.cli.hydra_bridge import conf_folders
-from prgbd.core.registry import KINDS, REGISTRY
+from prgbd.core.registry import REGISTRY
 
 EXAMPLES = (
     ("the self-improving loop on a synthetic street", "slam=orb_gtsam depth=monodepth2 depth.weights=demo"),
@@ -46,6 +46,7 @@ OPTIONS = (
     ("depth.weights=W", "folder of the weights of the network"),
     ("data.root=FOLDER", "where the recordings lie"),
     ("data.sequences=[A,B]", "which recordings; data.test_sequences=[C] are evaluated but not trained on"),
+    ("loss.depth_transfer=0.1", "the weight of a loss term; loss.ID switches on one that another package brings"),
     ("training.learning_rate=1e-6", "and training.epochs=1: the refinement"),
     ("trainer.devices=1", "any option of lightning.Trainer that conf/trainer lists"),
     ("debug=true", "show tracebacks"),
@@ -56,7 +57,7 @@ def choices(group: str) -> list[str]:
     """Return the choices of a configuration group: its YAML files and, for plug-ins, the registered ids."""
     folders = [Path(str(resources.files("prgbd.conf"))), *(folder for _, folder in conf_folders())]
     names = {path.stem for folder in folders for path in (folder / group).glob("*.yaml")}
-    if group in KINDS:
+    if group in PLUGIN_GROUPS:
         names |= {spec.id for spec in REGISTRY.specs(group)}
     return sorted(names)
 

@@ -15,17 +15,17 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
+from prgbd.cli.arguments import PLUGIN_GROUPS
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.task_options import TASKS
 from prgbd.core.option_schema import schema
-from prgbd.core.registry import KINDS, REGISTRY, PluginSpec
-from prgbd.training.refinement_settings import TERMS
+from prgbd.core.registry import KINDS, REGISTRY, SHORT_FOR, PluginSpec
 
 log = logging.getLogger(__name__)
 CONF_GROUP = "prgbd.conf"
-LOSS_WEIGHTS = tuple(f"training.{term}" for term in TERMS)
-"""Fields of the training's settings that the group ``loss`` sets."""
-OPEN_GROUPS = (*KINDS, "task", "loss", "trainer", "logger")
+OWN_GROUPS = tuple(f"training.{kind}" for kind in SHORT_FOR)
+"""Fields of the training's settings that are groups of their own: ``loss`` and ``augmentation``."""
+OPEN_GROUPS = (*KINDS, "task", "trainer", "logger")
 """Nodes of the configuration whose options depend on what is chosen."""
 
 
@@ -56,7 +56,7 @@ def register() -> None:
     """Tell Hydra the types and defaults of all options, the tasks and the plug-ins."""
     Plugins.instance().register(PluginPackagesSearchPath)
     store = ConfigStore.instance()
-    store.store(name="options", node=schema(CommonOptions, LOSS_WEIGHTS, **{group: {} for group in OPEN_GROUPS}))
+    store.store(name="options", node=schema(CommonOptions, OWN_GROUPS, **{group: {} for group in OPEN_GROUPS}))
     for name, options in TASKS.items():
         # Plain, for an experiment may set options of its task where the command line chooses another one.
         store.store(name=name, group="task", node={"name": name, **asdict(options())})
@@ -69,7 +69,7 @@ def _register_plugins(store: ConfigStore) -> None:
     The options of a plug-in that names their dataclass are the choice ``KIND/options/ID``, for its YAML to start from.
     """
     folders = [Path(str(resources.files("prgbd.conf"))), *(folder for _, folder in conf_folders())]
-    for kind in KINDS:
+    for kind in PLUGIN_GROUPS:
         specs = REGISTRY.specs(kind)
         for spec in specs:
             if spec.options:

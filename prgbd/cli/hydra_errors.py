@@ -12,13 +12,24 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException, ValidationError
 
-from prgbd.cli.hydra_bridge import options_class
+from prgbd.cli.arguments import PLUGIN_GROUPS
+from prgbd.cli.hydra_bridge import OWN_GROUPS, options_class
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.task_options import TASKS
 from prgbd.core.errors import ConfigError, PrgbdError
 from prgbd.core.option_errors import listed, refused, unknown_option
 from prgbd.core.options import option_types
 from prgbd.core.registry import KINDS, REGISTRY, parse_id
+
+MOVED = {
+    "training.automask": "loss.photometric.automask",
+    "training.patch": "loss.depth_transfer.patch",
+    "training.matching": "loss.depth_transfer.matching",
+    "training.reduction": "loss.depth_transfer.reduction",
+    "training.anchored_transfer": "loss.depth_transfer.anchored",
+    "training.residual": "loss.depth_consistency.residual and loss.depth_transfer.residual",
+}
+"""Options that were renamed: old -> new."""
 
 
 def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdError:
@@ -45,6 +56,8 @@ def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdEr
     if several:
         return ConfigError(f"'{several[1]}' names several values; add -m to run them all, or write a list: key=[a,b].")
     missing = re.search(r"Could not override '([^']+)'", text) or re.search(r"not in '\w+'\s+full_key: (\S+)", text)
+    if missing and missing[1] in MOVED:
+        return ConfigError(f"There is no option '{missing[1]}' any more; it is now {MOVED[missing[1]]}.")
     if missing:
         return unknown_option(missing[1], known_options())
     return ConfigError(f"The configuration does not hold together: {' '.join(text.split())}; see --help.")
@@ -61,7 +74,7 @@ def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
         package = {"joblib": "'prgbd[joblib]'", "submitit_slurm": "hydra-submitit-launcher"}.get(name.split("/")[-1])
         mend = f"pip install {package}" if package else "see --hydra-help"
         return ConfigError(f"Hydra's {path} is not installed; {mend}.")
-    if group in KINDS:
+    if group in PLUGIN_GROUPS:
         try:
             parse_id(name)
             REGISTRY.resolve(group, name)
@@ -74,7 +87,7 @@ def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
 
 def known_options() -> dict[str, Any]:
     """Return the types of all options by their dotted names; Any for those of YAML files, and for the groups."""
-    types = option_types(CommonOptions)
+    types = {key: kind for key, kind in option_types(CommonOptions).items() if key not in OWN_GROUPS}
     for task in TASKS.values():
         types |= option_types(task, "task")
     for spec in (spec for kind in KINDS for spec in REGISTRY.specs(kind)):

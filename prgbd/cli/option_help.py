@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from prgbd.cli.hydra_bridge import LOSS_WEIGHTS, options_class
+from prgbd.cli.hydra_bridge import OWN_GROUPS, options_class
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.plugin_choices import CHOICES, LOOP_KEYS
 from prgbd.cli.task_options import TASKS
@@ -59,7 +59,7 @@ def attribute_docs(cls: type[Any]) -> dict[str, str]:
 
 def _all_rows() -> Iterator[tuple[str, str, str, str]]:
     """Yield (title, dotted name, default, meaning) of every option."""
-    yield from (row for row in _rows(CommonOptions(), "", "Options") if row[1] not in LOSS_WEIGHTS)
+    yield from (row for row in _rows(CommonOptions(), "", "Options") if row[1] not in OWN_GROUPS)
     for task in TASKS.values():
         yield from _rows(task(), "task", f"task={task.name}")
     for kind, choice in CHOICES.items():

@@ -10,6 +10,7 @@ from prgbd.cli.plugin_choices import CHOICES, DataChoice, DepthChoice, SlamChoic
 from prgbd.cli.task_options import TASKS, TaskOptions
 from prgbd.core.errors import ConfigError
 from prgbd.core.options import from_mapping
+from prgbd.core.registry import SHORT_FOR
 from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.export import DEFAULT_FORMATS, check_formats
 from prgbd.loop.loop_settings import LoopSettings, SelfImprovement, SensingSettings
@@ -65,12 +66,14 @@ class RunOptions(CommonOptions):
         slam: The SLAM system, its options and what the run does with it.
         depth: The same for the depth network.
         data: The same for the recordings.
+        criterion: Options of the criterion that ``task.criterion`` names.
     """
 
     task: TaskOptions = field(default_factory=SelfImprovement)
     slam: SlamChoice = field(default_factory=SlamChoice)
     depth: DepthChoice = field(default_factory=DepthChoice)
     data: DataChoice = field(default_factory=DataChoice)
+    criterion: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def loop(self) -> LoopSettings:
@@ -78,6 +81,7 @@ class RunOptions(CommonOptions):
         task = self.task if isinstance(self.task, SelfImprovement) else SelfImprovement(max_loops=0)
         return LoopSettings(
             **vars(task),
+            criterion_options=self.criterion if self.task is task else {},
             baseline=self.slam.fixed_baseline,
             running_baseline=self.slam.baseline == "running",
             sensing=self.sensing,
@@ -100,9 +104,12 @@ def read_options(config: Mapping[str, Any]) -> RunOptions:
     """
     chosen: dict[str, Any] = {kind: read_choice(cls, config.get(kind) or {}, kind) for kind, cls in CHOICES.items()}
     common = {option.name: config[option.name] for option in fields(CommonOptions) if option.name in config}
-    common["training"] = {**config["loss"], **config["training"]}
+    common["training"] = {**config["training"], **{kind: config.get(kind) or {} for kind in SHORT_FOR}}
+    common["criterion"] = config.get("criterion") or {}
     options = from_mapping(RunOptions, {**common, **chosen, "task": _read_task(config["task"])})
     options.loop  # noqa: B018 - what cannot work together is found now, too
+    if options.task.name == SelfImprovement.name:
+        options.training.check_plugins()
     return options
 
 

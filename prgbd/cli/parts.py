@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from prgbd.cli.arguments import PLUGIN_GROUPS
 from prgbd.cli.help import choices
 from prgbd.cli.options import RunOptions
 from prgbd.cli.plugin_choices import DataChoice
 from prgbd.cli.task_options import EvaluateTask
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.option_errors import listed
-from prgbd.core.registry import KINDS, REGISTRY
+from prgbd.core.registry import REGISTRY
 from prgbd.core.wrappers import wrap
 from prgbd.loop.baselines import baseline_makers
 from prgbd.loop.loop_settings import SelfImprovement
@@ -62,7 +63,7 @@ def make_parts(options: RunOptions) -> Parts:
         PrgbdError: Whatever the plug-ins complain about: missing data, wrong weights, unknown options.
     """
     task = options.task.name
-    ids = {kind: _id_of(options, kind) for kind in KINDS}
+    ids = {kind: _id_of(options, kind) for kind in PLUGIN_GROUPS}
     mode = _mode(options)
     use_slam = task in ("self_improve", "slam")
     use_depth = task in ("self_improve", "depth", "pretrain") or mode == "pseudo_rgbd"

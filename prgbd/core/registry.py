@@ -1,8 +1,8 @@
 """The registry: ids to lazily imported classes, for built-ins and third-party packages alike.
 
 A plug-in is an id (``name`` or ``namespace/name``, optional ``-vN``), a ``module:Class`` that is imported only when
-the plug-in is made, default keyword arguments and a one-line description. Packages bring plug-ins through the entry
-point groups ``prgbd.depth``, ``prgbd.slam`` and ``prgbd.data`` (name = id, value = ``module:Class``).
+the plug-in is made, default keyword arguments and a one-line description. Packages bring plug-ins through entry point
+groups, ``prgbd.depth`` and so on, one per kind (name = id, value = ``module:Class``).
 """
 
 from __future__ import annotations
@@ -22,16 +22,24 @@ from prgbd.core.option_errors import listed
 from prgbd.core.options import checked_arguments, keyword_parameters
 
 if TYPE_CHECKING:
+    from prgbd.core.augmentation import Augmentation
+    from prgbd.core.criterion import Criterion
     from prgbd.core.data import Sequence
     from prgbd.core.depth import DepthEstimator
+    from prgbd.core.loss import LossTerm
     from prgbd.core.slam import GeometricSLAM
 
 INTERFACES = {
     "depth": "prgbd.core.depth:DepthEstimator",
     "slam": "prgbd.core.slam:GeometricSLAM",
     "data": "prgbd.core.data:Sequence",
+    "loss": "prgbd.core.loss:LossTerm",
+    "criterion": "prgbd.core.criterion:Criterion",
+    "augmentation": "prgbd.core.augmentation:Augmentation",
 }
 KINDS = tuple(INTERFACES)
+SHORT_FOR = {"loss": "weight", "augmentation": "probability"}
+"""Kinds of which a run uses several at once, and the option that a plain number stands for: ``loss.edge=0.1``."""
 ID_PATTERN = re.compile(r"^(?:(?P<namespace>[\w.-]+)/)?(?P<name>[A-Za-z_][\w.-]*?)(?:-v(?P<version>\d+))?$")
 
 
@@ -40,7 +48,7 @@ class PluginSpec:
     """What is known of a plug-in before it is imported.
 
     Attributes:
-        kind: ``depth``, ``slam`` or ``data``.
+        kind: One of ``KINDS``.
         id: The full id, ``[namespace/]name[-vN]``.
         target: ``module:Class``.
         description: One line for listings.
@@ -157,6 +165,20 @@ class Registry:
         hint = f"did you mean {listed(near)}?" if near else f"there are {listed(sorted(specs))}."
         raise UnknownPluginError(f"There is no {kind} plug-in '{plugin_id}'; {hint}")
 
+    def find(self, kind: str, name: str) -> PluginSpec:
+        """Find a plug-in by its id, or by the name behind its namespace where a single namespace has it.
+
+        Raises:
+            UnknownPluginError: With the nearest ids.
+        """
+        try:
+            return self.resolve(kind, name)
+        except UnknownPluginError:
+            same = {spec.versionless for spec in self.specs(kind) if parse_id(spec.id)["name"] == name}
+            if len(same) != 1:
+                raise
+            return self.resolve(kind, same.pop())
+
     def load(self, spec: PluginSpec) -> type[Any]:
         """Import the class of a plug-in.
 
@@ -188,6 +210,25 @@ class Registry:
     def options(self, kind: str, plugin_id: str) -> dict[str, inspect.Parameter]:
         """Return the constructor's keyword options of a plug-in (imports it)."""
         return keyword_parameters(self.load(self.resolve(kind, plugin_id)))
+
+    def checked_options(self, kind: str, plugin_id: str, given: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+        """Return the options of a plug-in with the types that its constructor has, without making it (imports it).
+
+        Args:
+            kind: Its kind.
+            plugin_id: Its id.
+            given: Plain values by name.
+            prefix: Where they stand on the command line; the kind if "".
+
+        Raises:
+            UnknownPluginError: If the id is not registered.
+            BrokenPluginError: If importing it fails.
+            ConfigError: If it has no such option, or the option does not take the value.
+        """
+        spec = self.resolve(kind, plugin_id)
+        if not isinstance(given, Mapping):
+            raise ConfigError(f"{prefix or kind} is {given!r}; it must be a group of options.")
+        return checked_arguments(self.load(spec), {**spec.kwargs, **given}, prefix or kind)
 
     def make(self, kind: str, plugin_id: str, *, checks: bool = True, **kwargs: Any) -> Any:
         """Make a plug-in, with the passive checks around it unless ``checks`` is False.
@@ -253,6 +294,25 @@ def register_data(plugin_id: str, target: str, description: str = "", *, overrid
     REGISTRY.register(PluginSpec("data", plugin_id, target, description, kwargs=kwargs), override=override)
 
 
+def register_loss(plugin_id: str, target: str, description: str = "", *, override: bool = False, **kwargs: Any) -> None:
+    """Register a loss term: an id, a lazy ``module:Class`` and default keyword arguments."""
+    REGISTRY.register(PluginSpec("loss", plugin_id, target, description, kwargs=kwargs), override=override)
+
+
+def register_criterion(
+    plugin_id: str, target: str, description: str = "", *, override: bool = False, **kwargs: Any
+) -> None:
+    """Register a criterion: an id, a lazy ``module:Class`` and default keyword arguments."""
+    REGISTRY.register(PluginSpec("criterion", plugin_id, target, description, kwargs=kwargs), override=override)
+
+
+def register_augmentation(
+    plugin_id: str, target: str, description: str = "", *, override: bool = False, **kwargs: Any
+) -> None:
+    """Register an augmentation: an id, a lazy ``module:Class`` and default keyword arguments."""
+    REGISTRY.register(PluginSpec("augmentation", plugin_id, target, description, kwargs=kwargs), override=override)
+
+
 def make_depth(plugin_id: str, **kwargs: Any) -> DepthEstimator:
     """Make a depth estimator by id, e.g. ``make_depth("monodepth2", weights="folder")``."""
     made: DepthEstimator = REGISTRY.make("depth", plugin_id, **kwargs)
@@ -284,6 +344,24 @@ def make_data(plugin_id: str, *, sequences: list[str] | None = None, **kwargs: A
 def make_sequences(plugin_id: str, sequences: list[str] | None = None, **kwargs: Any) -> list[Sequence]:
     """Make several recordings of one data set by id; all that are available when ``sequences`` is None."""
     return REGISTRY.make_sequences(plugin_id, sequences, **kwargs)
+
+
+def make_loss(plugin_id: str, **kwargs: Any) -> LossTerm:
+    """Make a loss term by id, e.g. ``make_loss("photometric", weight=0.5)``."""
+    made: LossTerm = REGISTRY.make("loss", plugin_id, **kwargs)
+    return made
+
+
+def make_criterion(plugin_id: str, **kwargs: Any) -> Criterion:
+    """Make a criterion by id, e.g. ``make_criterion("slam")``."""
+    made: Criterion = REGISTRY.make("criterion", plugin_id, **kwargs)
+    return made
+
+
+def make_augmentation(plugin_id: str, **kwargs: Any) -> Augmentation:
+    """Make an augmentation by id, e.g. ``make_augmentation("jitter", strength=0.5)``."""
+    made: Augmentation = REGISTRY.make("augmentation", plugin_id, **kwargs)
+    return made
 
 
 def specs(kind: str) -> list[PluginSpec]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from prgbd.core.errors import ContractError
+from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.slam import SlamView, TrackingResult, TrackingState
 from prgbd.core.types import DepthPrediction, Frame, PinholeCamera, SlamResult
 
@@ -168,3 +169,23 @@ def check_slam_result(result: Any, frames: int, who: str) -> None:
         inside = inside and observations.point.min() >= 0 and observations.point.max() < len(result.points)
         require(inside, who, "gives observations of keyframes or points that do not exist.")
         require(observations.uv.shape == (m, 2) and observations.depth.shape == (m,), who, "gives ragged observations.")
+
+
+def check_loss_value(value: Any, who: str) -> None:
+    """Require the value of a loss term to be a scalar tensor of floating point; it may be infinite or NaN."""
+    import torch
+
+    floating = isinstance(value, torch.Tensor) and value.is_floating_point()
+    require(floating, who, f"gave a {type(value).__name__} where a tensor of floating point belongs.")
+    require(value.ndim == 0, who, f"gave a tensor of shape {tuple(value.shape)}; reduce it to a scalar.")
+
+
+def check_augmented(batch: Any, before: RefinementBatch, who: str) -> None:
+    """Require an augmented batch to have the shapes and types of the one before."""
+    kind = type(batch).__name__
+    require(isinstance(batch, RefinementBatch), who, f"gave a {kind} where a prgbd.RefinementBatch belongs.")
+    for name, value in before._replace(altered=before.images)._asdict().items():
+        given = batch.inputs if name == "altered" else getattr(batch, name)
+        same = tuple(given.shape) == tuple(value.shape) and given.dtype == value.dtype
+        wanted = f"it must stay {tuple(value.shape)} {value.dtype}"
+        require(same, who, f"gave '{name}' of shape {tuple(given.shape)} {given.dtype}; {wanted}.")

@@ -8,19 +8,20 @@ from torch import Tensor
 BRIGHTNESS, CONTRAST, SATURATION, HUE = 0.2, 0.2, 0.2, 0.1
 
 
-def jittered(images: Tensor, which: Tensor, generator: torch.Generator) -> Tensor:
+def jittered(images: Tensor, which: Tensor, generator: torch.Generator, strength: float = 1.0) -> Tensor:
     """Jitter the colours of some samples, all images of a sample alike (Monodepth2: .2, .2, .2, .1).
 
     Args:
         images: (B, V, 3, H, W) float in [0, 1].
         which: (B,) bool.
         generator: Random numbers, on the CPU.
+        strength: Factor on the ranges; 1 is Monodepth2's.
 
     Returns:
         (B, V, 3, H, W) in [0, 1].
     """
     count = images.shape[0]
-    amounts = torch.tensor([BRIGHTNESS, CONTRAST, SATURATION, HUE])
+    amounts = strength * torch.tensor([BRIGHTNESS, CONTRAST, SATURATION, HUE])
     draws = ((2 * torch.rand(count, 4, generator=generator) - 1) * amounts).to(images)
     brightness, contrast, saturation = (1 + draws[:, i, None, None, None, None] for i in range(3))
     out = (images * brightness).clamp(0, 1)

@@ -5,13 +5,17 @@ A batch of points is padded: ``uv`` is (B, N, 2) in pixels of the depth map, ``m
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from prgbd.functional.warping import NEAREST, invert_rigid
+
+Reduction = Literal["mean", "sum", "average"]
+Matching = Literal["projected", "offset"]
+Residual = Literal["absolute", "log"]
 
 
 class Patches(NamedTuple):
@@ -114,9 +118,9 @@ def depth_transfer(
     mask: Tensor,
     *,
     patch: int = 5,
-    matching: str = "projected",
-    reduction: str = "mean",
-    residual: str = "absolute",
+    matching: Matching = "projected",
+    reduction: Reduction = "mean",
+    residual: Residual = "absolute",
     anchors: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
     """Symmetric depth transfer between two keyframes a and b (paper eq. for T_{c<->k1}).
@@ -188,7 +192,7 @@ def anchored(patches: Patches, slam_depth: Tensor) -> Patches:
     return patches._replace(depth=depth * (slam_depth[..., None] / depth[..., middle : middle + 1]))
 
 
-def difference(a: Tensor, b: Tensor, residual: str) -> Tensor:
+def difference(a: Tensor, b: Tensor, residual: Residual) -> Tensor:
     """Compare depths: ``|a - b|`` (the paper), or ``|log a - log b|``.
 
     The absolute difference has a bias: two predictions of one point with independent errors of 10 % differ by 10 % of
@@ -207,7 +211,7 @@ def difference(a: Tensor, b: Tensor, residual: str) -> Tensor:
 
 
 def depth_consistency(
-    depth: Tensor, uv: Tensor, slam_depth: Tensor, mask: Tensor, *, residual: str = "absolute"
+    depth: Tensor, uv: Tensor, slam_depth: Tensor, mask: Tensor, *, residual: Residual = "absolute"
 ) -> Tensor:
     """Depth consistency: mean absolute difference between predicted depth and SLAM's (paper eq. for D_c).
 
@@ -227,7 +231,7 @@ def depth_consistency(
     return _reduce(error, (mask & predicted.inside[..., 0])[..., None], "mean")
 
 
-def _reduce(error: Tensor, used: Tensor, reduction: str) -> Tensor:
+def _reduce(error: Tensor, used: Tensor, reduction: Reduction) -> Tensor:
     """Reduce (B, N, P) within each image over what is used, then average over the batch."""
     # torch.where, not a product: padding may hold anything, and 0 * nan would spoil the sum.
     total = torch.where(used, error, torch.zeros_like(error)).sum(dim=(1, 2))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence as Many
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from prgbd.core.criterion import Evidence
 from prgbd.core.multiview import reprojection_errors
 from prgbd.core.types import DepthPrediction, SlamResult
 from prgbd.evaluation.triangulated_depth import disagreement
@@ -24,7 +24,7 @@ FRAMES = 32
 Floats = NDArray[np.float64]
 
 
-def evidence(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dict[str, Any]:
+def evidence(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> Evidence:
     """Measure how well depth, poses and images of one recording fit together; all of it is free of scale.
 
     Args:
@@ -33,12 +33,7 @@ def evidence(result: SlamResult, sensor: DepthSensor, frame_gap: int = 1) -> dic
         frame_gap: Frames between an image and those that are warped to it.
 
     Returns:
-        ``tracked``: share of the frames with a pose; ``maps``: unconnected maps; ``inliers``: mean inlier matches of a
-        tracked frame; ``reprojection``: median reprojection error, pixels; ``disagreement``: with
-        triangulated depth, see ``evaluation.triangulated_depth``;
-        ``scale_wander``: standard deviation of the logarithm of the scale between network and map over keyframes;
-        ``photometric``: per frame, by number, the photometric error (pre-training's, without mask) of its neighbours
-        warped by the network's depth and SLAM's poses. None where there is nothing to measure.
+        The evidence; its photometric error is pre-training's, without mask.
     """
     tracked = result.inliers[np.asarray([str(state) == "ok" for state in result.states], bool)]
     seen = clean_observations(result)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from prgbd.core.computing import Computing
 from prgbd.core.errors import ConfigError
 from prgbd.core.options import check_types
+from prgbd.core.registry import REGISTRY
 from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.export import DEFAULT_FORMATS
-from prgbd.loop.criterion import CRITERIA
 from prgbd.loop.map_files import MapFiles
 
 
@@ -59,8 +60,8 @@ class SelfImprovement:
         max_loops: Refinements of the network at most (the paper: 5 on KITTI, 3 on TUM).
         min_improvement: Stop, and go back to the best loop, unless the criterion drops by more than this fraction; null
             never stops early and keeps the last loop, so that all runs of an ablation end after the same loop.
-        criterion: What decides whether a loop helped: held_out (the loss of the refinement on held-out keyframes), slam
-            (what SLAM made of the refined network, see ``prgbd.loop.criterion``) or both.
+        criterion: What decides whether a loop helped, the id of a plug-in: held_out (the loss of the refinement on
+            held-out keyframes), slam (what SLAM made of the refined network), both, or that of another package.
         patience: Go on after so many loops in a row that SLAM's evidence calls no better; the best one is kept anyway.
         first_teacher: What the first refinement learns from: pseudo_rgbd, SLAM on the network's depth as in all later
             ones (the paper), or mono, SLAM on the images alone, for a network that does not know the scene yet.
@@ -88,8 +89,6 @@ class SelfImprovement:
                 raise ConfigError(f"task.{name} is {getattr(self, name)}; it must be a whole number, 0 or more.")
         if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
             raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
-        if self.criterion not in CRITERIA:
-            raise ConfigError(f"task.criterion is '{self.criterion}'; choose one of {', '.join(CRITERIA)}.")
 
     @property
     def all_baselines(self) -> tuple[str, ...]:
@@ -103,6 +102,7 @@ class LoopSettings(SelfImprovement):
     """All that the loop is told.
 
     Attributes:
+        criterion_options: Options of the criterion, ``criterion.*``.
         baseline: Fixed virtual baseline in metres; None adapts it to the network's depth.
         running_baseline: Let SLAM adapt the baseline to the frames so far, as on a live camera, instead.
         sensing: How the network predicts depth.
@@ -115,6 +115,7 @@ class LoopSettings(SelfImprovement):
         ConfigError: If a value cannot work.
     """
 
+    criterion_options: Mapping[str, Any] = field(default_factory=dict)
     baseline: float | None = None
     running_baseline: bool = False
     sensing: SensingSettings = field(default_factory=SensingSettings)
@@ -125,5 +126,6 @@ class LoopSettings(SelfImprovement):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        REGISTRY.checked_options("criterion", self.criterion, self.criterion_options)
         if self.max_loops and self.maps != MapFiles():
             raise ConfigError("Maps of SLAM are loaded and saved without refinement alone; add task=slam.")

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from prgbd.core.criterion import Evidence
 from prgbd.core.data import Sequence
 from prgbd.io.export import save_result
 from prgbd.loop.depth_figures import depth_figures, write_samples
@@ -77,7 +78,7 @@ class PoseRefinement:
                 "the images alone teach it first: task.first_teacher=mono, or experiment=adapt."
             )
 
-    def _find(self, sensor: DepthSensor) -> dict[str, Any]:
+    def _find(self, sensor: DepthSensor) -> Evidence:
         gap = 1 if self.parts.refinement is None else self.parts.refinement.frame_gap
         # All loops must be judged on the same pairs of frames.
         gap = gap or measured_gap(self.parts.result(0, sensor.sequence))

@@ -17,7 +17,6 @@ from prgbd.loop.interrupts import interruptible
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.monitor import Progress
 from prgbd.training.refinement import refine
-from prgbd.training.refinement_settings import TERMS
 
 
 class TrainingProgress(Callback):
@@ -72,7 +71,7 @@ def refine_in_run(parts: LoopParts, supervised: list[tuple[Sequence, SlamResult]
     except SlamError as error:
         monitor.say(f"  {error}")
         return None
-    write_losses(outcome.losses, folder / "losses.csv")
+    write_losses(outcome.losses, tuple(settings.loss), folder / "losses.csv")
     with store.new_folder(store.loop(loop, "weights")) as weights:
         estimator.save_weights(weights)
     return {
@@ -89,9 +88,9 @@ def refine_in_run(parts: LoopParts, supervised: list[tuple[Sequence, SlamResult]
     }
 
 
-def write_losses(rows: list[dict[str, Any]], path: Path) -> None:
+def write_losses(rows: list[dict[str, Any]], terms: tuple[str, ...], path: Path) -> None:
     """Write the losses of the training steps: ``step,epoch,total`` and a column per term, empty where not computed."""
-    columns = ("step", "epoch", "total", *TERMS)
+    columns = ("step", "epoch", "total", *terms)
     with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

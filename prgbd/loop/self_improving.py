@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+from prgbd.core.criterion import Criterion, Evidence
 from prgbd.core.data import Sequence
 from prgbd.core.depth import weights_fingerprint
 from prgbd.core.errors import ConfigError
+from prgbd.core.registry import make_criterion
 from prgbd.core.types import SlamResult
 from prgbd.loop.baselines import baseline_result, localise, run_baseline
-from prgbd.loop.criterion import compare, stop_reason
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name, step_name
 from prgbd.loop.refining import refine_in_run
@@ -31,7 +33,10 @@ class SelfImprovingLoop:
         self.parts = parts
         self.estimator, self.settings = parts.estimator, parts.settings
         self.store, self.monitor = parts.store, parts.monitor
-        self._evidence: dict[int, dict[str, Any]] = {}
+        if parts.refinement is not None:
+            parts.refinement.check_plugins()
+        self._criterion: Criterion = make_criterion(self.settings.criterion, **self.settings.criterion_options)
+        self._evidence: dict[int, dict[str, Evidence]] = {}
 
     def run(self) -> dict[str, Any]:
         """Run until there is no improvement.
@@ -93,7 +98,7 @@ class SelfImprovingLoop:
         }
 
     def _judge(self, loops: list[dict[str, Any]], stop: dict[str, Any]) -> str:
-        """Compare the last loop with the best one by SLAM's evidence; return why to stop, "" to go on."""
+        """Let the criterion compare the last loop with the best one; return why to stop, "" to go on."""
         entry, best = loops[-1], loops[stop["best_loop"]]
         settings, loop = self.settings, entry["loop"]
         evidences = entry.pop("evidence"), self._evidence.get(best["loop"])
@@ -101,10 +106,10 @@ class SelfImprovingLoop:
         if loop == 0:
             return ""
         assert evidences[1] is not None
-        verdict = compare(evidences[1], evidences[0], settings.min_improvement or 0.0)
+        verdict = self._criterion.judge(evidences[1], evidences[0], settings.min_improvement or 0.0)
         entry["criterion"] = {"compared_with": best["loop"], **verdict.to_dict()}
         self.monitor.say(f"  against loop {best['loop']}, without labels: {verdict.sentence()}")
-        decides = settings.criterion in ("slam", "both") and settings.min_improvement is not None
+        decides = verdict.decides and settings.min_improvement is not None
         if verdict.better or not decides:
             stop["best_loop"] = loop
             return ""
@@ -141,9 +146,7 @@ class SelfImprovingLoop:
         if training is None:
             return None, "No keyframe of SLAM had neighbours on both sides, so there was nothing to learn from."
         before, after = training["held_out_before"], training["held_out_after"]
-        # Where the held-out loss does not decide, it must still be finite.
-        least = None if self.settings.criterion == "slam" else self.settings.min_improvement
-        reason = stop_reason(before, after, least)
+        reason = stop_reason(self._criterion, before, after, self.settings.min_improvement)
         if before is not None and after is not None:
             self.monitor.say(f"  refined on {training['samples']} keyframes: held-out loss {before:.5f} -> {after:.5f}")
         if not reason and resumed:
@@ -170,3 +173,17 @@ class SelfImprovingLoop:
                 self.estimator.save_weights(folder)
 
         self.store.step("best_weights", work)
+
+
+def stop_reason(criterion: Criterion, before: float | None, after: float | None, min_improvement: float | None) -> str:
+    """Return why the loop should stop after a refinement, "" to go on; no label is needed to decide.
+
+    Args:
+        criterion: What decides.
+        before: Loss on held-out keyframes with the weights that SLAM ran with.
+        after: The same with the refined weights.
+        min_improvement: Fraction that counts as an improvement; None accepts any finite loss.
+    """
+    if before is None or after is None or not math.isfinite(before) or not math.isfinite(after):
+        return "The held-out loss was not finite after the refinement, so the weights from before are kept."
+    return "" if min_improvement is None else criterion.objection(before, after, min_improvement)

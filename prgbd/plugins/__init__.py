@@ -23,6 +23,15 @@ BUILT_IN = (
     ("data", "tum_rgbd", "tum_rgbd:TumRgbdSequence", "TUM RGB-D recordings, undistorted"),
     ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),
     ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),
+    ("loss", "photometric", "photometric:Photometric", "P: adjacent frames, warped by depth and pose, look alike"),
+    ("loss", "smoothness", "smoothness:Smoothness", "S: depth changes where the image does"),
+    ("loss", "depth_consistency", "depth_consistency:DepthConsistency", "D: depth is that of SLAM's points"),
+    ("loss", "depth_transfer", "depth_transfer:DepthTransfer", "T: the depth of three keyframes agrees"),
+    ("criterion", "held_out", "held_out:HeldOut", "the refinement's own loss on held-out keyframes falls"),
+    ("criterion", "slam", "slam:Slam", "SLAM makes more of the refined network"),
+    ("criterion", "both", "both:Both", "held_out and slam"),
+    ("augmentation", "mirror", "mirror:Mirror", "left to right, with the geometry"),
+    ("augmentation", "jitter", "jitter:Jitter", "brightness, contrast, saturation and hue (Monodepth2)"),
 )
 # The extra of pyproject.toml that a plug-in needs, and the modules that it brings.
 EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {

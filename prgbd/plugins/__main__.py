@@ -16,7 +16,14 @@ from rich.table import Table
 from prgbd.core.errors import ConfigError, PrgbdError, UnknownPluginError
 from prgbd.core.registry import KINDS, REGISTRY, PluginSpec, specs
 
-TITLES = {"depth": "Depth estimators", "slam": "SLAM systems", "data": "Data"}
+TITLES = {
+    "depth": "Depth estimators",
+    "slam": "SLAM systems",
+    "data": "Data",
+    "loss": "Loss terms",
+    "criterion": "Criteria",
+    "augmentation": "Augmentations",
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -104,6 +111,7 @@ def _list(console: Console, kinds: tuple[str, ...]) -> None:
             console.print(sentence, style="yellow", markup=False, highlight=False)
         console.print()
     console.print("Use one with  python -m prgbd slam=ID depth=ID data=ID", style="dim")
+    console.print("    and  loss.ID.weight=1 task.criterion=ID augmentation.ID.probability=0.5", style="dim")
     console.print("Check one with  python -m prgbd.plugins check ID [OPTION=VALUE ...]", style="dim", markup=False)
 
 

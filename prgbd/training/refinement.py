@@ -29,13 +29,12 @@ from prgbd.training.checkpoints import Handover, StepCheckpoint, tensors_by_name
 from prgbd.training.images import image_folder
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
-    RefinementBatch,
     RefinementData,
     SupervisedImages,
     decode_images,
     needed_frames,
 )
-from prgbd.training.refinement_module import DepthRefinement, LossRows, points_at
+from prgbd.training.refinement_module import DepthRefinement, LossRows
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.supervision import Supervision, keyframe_samples
 from prgbd.training.trainers import TrainerFactory
@@ -253,8 +252,8 @@ def network_scale(estimator: DepthEstimator, source: SupervisedImages) -> float:
         for index in chosen:
             sample = source.sample(int(index))
             depth = estimator(sample.images[:1].to(device).float() / 255).depth.float().cpu()
-            batch = RefinementBatch(*(value[None] for value in sample))
-            predicted = sample_patches(depth, points_at(batch, depth, 0)[0], 1)
+            uv = sample.at_size(*depth.shape[-2:]).uv[:1]
+            predicted = sample_patches(depth, uv, 1)
             known = predicted.inside[0, :, 0] & (sample.depth[0] > 0)
             ratios.append(predicted.depth[0, known, 0] / sample.depth[0, known])
     estimator.train(was_training)

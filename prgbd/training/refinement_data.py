@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from collections.abc import Sequence as Many
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from torch.utils.data import DataLoader, Dataset
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import DataError
+from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.types import PinholeCamera, resize_pixels
 from prgbd.training.images import decode_frames
 from prgbd.training.refinement_settings import RefinementSettings
@@ -25,34 +25,6 @@ from prgbd.training.sampling import EpochSampler, ResumableData
 from prgbd.training.supervision import KeyframeSample, Supervision
 
 _IMAGES_PER_SAMPLE = 3  # c, k1 and k2 pass through the network
-
-
-class RefinementBatch(NamedTuple):
-    """A batch of keyframes with their neighbours; a single sample is the same without the first axis.
-
-    Attributes:
-        images: (B, 5, 3, H, W) uint8, or float in [0, 1] once on the device: c, c-1, c+1, k1, k2.
-        K: (B, 3, 3) float32 intrinsics at the size of the images, pixels.
-        aTc: (B, 2, 4, 4) float32 from c to the adjacent frames.
-        kTc: (B, 2, 4, 4) float32 from c to k1 and k2.
-        uv: (B, 3, N, 2) float32 keypoints in c, k1 and k2, pixels of the images.
-        depth: (B, 3, N) float32 depth by SLAM in c, k1 and k2.
-        mask: (B, N) bool, real points; the rest is padding.
-        seen_uv: (B, M, 2) float32 the points that teach c's own depth, pixels of the images.
-        seen_depth: (B, M) float32 their depth by SLAM in c.
-        seen_mask: (B, M) bool, the real ones.
-    """
-
-    images: Tensor
-    K: Tensor
-    aTc: Tensor
-    kTc: Tensor
-    uv: Tensor
-    depth: Tensor
-    mask: Tensor
-    seen_uv: Tensor
-    seen_depth: Tensor
-    seen_mask: Tensor
 
 
 @dataclass(frozen=True)

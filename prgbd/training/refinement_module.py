@@ -8,54 +8,40 @@ from typing import Any
 import lightning
 import torch
 from lightning.pytorch.callbacks import Callback
-from torch import Tensor
+from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator
+from prgbd.core.loss import LossInputs
+from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.types import DepthPrediction
-from prgbd.functional.losses import photometric_loss, smoothness_loss
-from prgbd.functional.sparse_losses import depth_consistency, depth_transfer
-from prgbd.functional.warping import invert_rigid
-from prgbd.training.augmentation import augmented
 from prgbd.training.batch_statistics import BATCH_NORMALISATION
+from prgbd.training.objective import make_augmentations, make_terms
 from prgbd.training.optimizers import adam
-from prgbd.training.refinement_data import RefinementBatch
-from prgbd.training.refinement_settings import TERMS, RefinementSettings
+from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.sampling import step_seed
-
-
-def points_at(batch: RefinementBatch, depth: Tensor, view: int | None) -> tuple[Tensor, Tensor]:
-    """Return keypoints of a view, (B, N, 2), and intrinsics, (B, 3, 3), at the size of a depth map.
-
-    The view None stands for the points of c that teach its own depth. A network's finest depth map need not have the
-    size of its input.
-    """
-    uv = batch.seen_uv if view is None else batch.uv[:, view]
-    height, width = depth.shape[-2:]
-    size = batch.images.shape[-2:]
-    if (height, width) == tuple(size):
-        return uv, batch.K
-    factor = batch.uv.new_tensor([width / size[1], height / size[0]])
-    K = batch.K.clone()
-    K[:, :2, :2] = K[:, :2, :2] * factor[:, None]
-    K[:, :2, 2] = (K[:, :2, 2] + 0.5) * factor - 0.5
-    return (uv + 0.5) * factor - 0.5, K
 
 
 class DepthRefinement(lightning.LightningModule):
     """The training of any depth network on SLAM's output.
 
-    Total loss: ``alpha P + beta S + gamma D + mu (T_{c,k1} + T_{c,k2} + T_{k1,k2})``. Sparse terms use the finest depth
-    map; terms of weight 0 are not computed.
+    The total loss is the weighted sum of the terms that the settings name. The network predicts the depth of those
+    images alone that a term asks for.
 
     Args:
         estimator: The network; it is trained in place.
-        settings: Weights and all else.
+        settings: Loss terms, augmentations and all else.
     """
 
     def __init__(self, estimator: DepthEstimator, settings: RefinementSettings) -> None:
         super().__init__()
         self.estimator = estimator
         self.settings = settings
+        terms = make_terms(settings.loss)
+        self._names = tuple(terms)
+        self._weights = {name: float(term.weight) for name, term in terms.items()}
+        self._terms = nn.ModuleList(terms.values())
+        self._views = tuple(sorted({view for term in terms.values() for view in term.views}))
+        self._augmentations = make_augmentations(settings.augmentation, settings.augment)
         self._random = torch.Generator()
 
     def train(self, mode: bool = True) -> DepthRefinement:
@@ -67,78 +53,32 @@ class DepthRefinement(lightning.LightningModule):
                     module.eval()
         return self
 
-    def terms(
-        self, batch: RefinementBatch, generator: torch.Generator | None, seen: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """Compute the unweighted terms of a batch.
+    def terms(self, batch: RefinementBatch, generator: torch.Generator | None) -> dict[str, Tensor]:
+        """Compute the unweighted terms of a batch, in float32 even under mixed precision.
 
         Args:
             batch: Float images.
-            generator: Noise of the automatic mask, on the device of the batch.
-            seen: (B, 5, 3, H, W) what the network sees, if not the images themselves.
+            generator: Random numbers of the terms, on the device of the batch.
 
         Returns:
-            Term -> scalar, for the terms with a weight.
+            Name -> scalar, for the terms with a weight.
         """
-        weights = self.settings.weights
-        seen = batch.images if seen is None else seen
-        views = [0, 3, 4] if weights["depth_transfer"] else [0]
-        inputs = torch.cat([seen[:, view] for view in views])
+        images = torch.cat([batch.inputs[:, view] for view in self._views])
         if self.settings.channels_last:
-            inputs = inputs.contiguous(memory_format=torch.channels_last)
-        prediction: DepthPrediction = self.estimator(inputs)
-        size = batch.images.shape[0]
-        current = DepthPrediction(
-            tuple(d[:size] for d in prediction.depths),
-            None if prediction.disparities is None else tuple(d[:size] for d in prediction.disparities),
+            images = images.contiguous(memory_format=torch.channels_last)
+        prediction: DepthPrediction = self.estimator(images)
+        disparities = prediction.disparities
+        prediction = DepthPrediction(
+            tuple(depth.float() for depth in prediction.depths),
+            None if disparities is None else tuple(disparity.float() for disparity in disparities),
         )
-        target = batch.images[:, 0]
-        out: dict[str, Tensor] = {}
-        if weights["photometric"]:
-            sources, sTt = [batch.images[:, 1], batch.images[:, 2]], [batch.aTc[:, 0], batch.aTc[:, 1]]
-            out["photometric"] = photometric_loss(
-                current, target, sources, batch.K, sTt, self.settings.automask, generator
-            )
-        if weights["smoothness"]:
-            out["smoothness"] = smoothness_loss(current, target)
-        with torch.autocast(target.device.type, enabled=False):
-            if weights["depth_consistency"]:
-                out["depth_consistency"] = depth_consistency(
-                    current.depth.float(),
-                    points_at(batch, current.depth, None)[0],
-                    batch.seen_depth,
-                    batch.seen_mask,
-                    residual=self.settings.residual,
-                )
-            if weights["depth_transfer"]:
-                out["depth_transfer"] = self._transfer(batch, prediction.depth.float())
-        return out
-
-    def _transfer(self, batch: RefinementBatch, depth: Tensor) -> Tensor:
-        """T_{c,k1} + T_{c,k2} + T_{k1,k2}; ``depth`` holds the maps of c, k1 and k2 one after the other."""
-        depths = depth.chunk(3)
-        points = [points_at(batch, d, view) for view, d in enumerate(depths)]
-        eye = torch.eye(4, device=depth.device, dtype=batch.kTc.dtype).expand_as(batch.kTc[:, 0])
-        vTc = [eye, batch.kTc[:, 0], batch.kTc[:, 1]]
-        total = depth.new_zeros(())
-        for a, b in ((0, 1), (0, 2), (1, 2)):
-            total = total + depth_transfer(
-                (depths[a], depths[b]),
-                (points[a][0], points[b][0]),
-                points[a][1],
-                vTc[b] @ invert_rigid(vTc[a]),
-                batch.mask,
-                patch=self.settings.patch,
-                matching=self.settings.matching,
-                reduction=self.settings.reduction,
-                residual=self.settings.residual,
-                anchors=(batch.depth[:, a], batch.depth[:, b]) if self.settings.anchored_transfer else None,
-            )
-        return total / 3 if self.settings.reduction == "average" else total
+        inputs = LossInputs(batch, self._views, prediction, generator)
+        with torch.autocast(batch.images.device.type, enabled=False):
+            return {name: term(inputs) for name, term in zip(self._names, self._terms, strict=True)}
 
     def total(self, terms: Mapping[str, Tensor]) -> Tensor:
         """Weigh and add the terms."""
-        return torch.stack([self.settings.weights[name] * value for name, value in terms.items()]).sum()
+        return torch.stack([self._weights[name] * value for name, value in terms.items()]).sum()
 
     def on_after_batch_transfer(self, batch: RefinementBatch, dataloader_idx: int) -> RefinementBatch:
         """Turn bytes into [0, 1] on the device."""
@@ -151,10 +91,9 @@ class DepthRefinement(lightning.LightningModule):
         torch.manual_seed(seed)  # for networks that draw themselves, such as dropout
         self._random.manual_seed(seed)
         noise = torch.Generator(batch.images.device).manual_seed(seed)
-        seen = None
-        if self.settings.augment:
-            batch, seen = augmented(batch, self._random)
-        terms = self.terms(batch, noise, seen)
+        for augmentation in self._augmentations:
+            batch = augmentation(batch, self._random)
+        terms = self.terms(batch, noise)
         total = self.total(terms)
         self._log("train", total, terms, batch, prog_bar=True)
         return {"loss": total, "terms": {name: value.detach() for name, value in terms.items()}}
@@ -207,5 +146,5 @@ class LossRows(Callback):
 
     def _add(self, split: str, trainer: lightning.Trainer, values: Mapping[str, Any]) -> None:
         row: dict[str, Any] = {"split": split, "epoch": trainer.current_epoch, "step": trainer.global_step}
-        row |= {name: float(values[name]) for name in ("total", *TERMS) if name in values}
+        row |= {name: float(value) for name, value in values.items()}
         self.rows.append(row)

@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from prgbd.core.errors import ConfigError
 from prgbd.core.options import check_types
-
-TERMS = ("photometric", "smoothness", "depth_consistency", "depth_transfer")
+from prgbd.training.objective import METHOD, Nodes, loss_weights, make_augmentations, make_terms
 
 
 @dataclass(frozen=True)
 class RefinementSettings:
     """Options of depth refinement; the defaults are the paper's.
 
-    The two sparse terms are in the network's own unit of depth. A network that was pre-trained without scale has a
-    median depth near 1, and its terms are about as large as the photometric one; for a metric network they are tens of
-    times larger, so give them weights of a few hundredths there.
-
     Attributes:
-        photometric: Weight alpha of the photometric term; a term of weight 0 is not computed.
-        smoothness: Weight beta of the smoothness term.
-        depth_consistency: Weight gamma of the depth consistency with SLAM's points.
-        depth_transfer: Weight mu of the symmetric depth transfer between the three keyframes.
+        loss: Loss terms, name -> options, see ``objective``; a term of weight 0 is not computed.
+        augmentation: Augmentations, name -> options, likewise.
         learning_rate: Of Adam.
         epochs: Passes over the keyframes.
         batch_size: Keyframes per step (pre-training's 12); three images per keyframe pass through the network.
-        patch: Odd side of the patch around a keypoint that depth transfer compares, pixels of the network's input.
-        matching: ``projected`` or ``offset``, which pixels of two patches are compared; see ``depth_transfer``.
-        reduction: ``mean`` or ``sum`` over points and patch pixels in depth transfer; see ``depth_transfer``.
-            ``average`` is the mean over the three pairs of keyframes and both directions as well, so that the term
-            weighs as much as depth consistency and not six times as much.
-        residual: ``absolute`` (the paper) or ``log``, how both sparse terms compare depths; see
-            ``sparse_losses.difference``.
-        automask: Leave out what looks the same without motion (Monodepth2).
-        augment: Mirror half of the samples and jitter the colours of half of them.
+        augment: Mirror half of the samples and jitter the colours of half of them, besides what ``augmentation`` names.
         freeze_batchnorm: Keep the statistics of batch normalisation as pre-training left them. By default they follow
             the batches, as in pre-training: on the synthetic street (38 keyframes, 3 epochs at 5e-5, photometric) that
             took Abs Rel from 0.203 to 0.183, frozen statistics to 0.209. Freeze them for batches of one or two.
@@ -57,8 +42,6 @@ class RefinementSettings:
             ``supervision.keyframe_samples``.
         min_parallax: Degrees under which SLAM must have seen a point; 0 limits its depth to what the sensor measured
             instead. See ``supervision.keyframe_samples``.
-        anchored_transfer: Depth transfer moves patches whose middle has SLAM's depth instead of the predicted one; see
-            ``sparse_losses.depth_transfer``.
         memory_mb: Decoded images beyond this lie in a file instead of memory.
         channels_last: Memory layout of the network's images that convolutions are faster in on most processors.
         compile: Compile the network with ``torch.compile``: about a minute once, then faster steps.
@@ -70,18 +53,11 @@ class RefinementSettings:
         ConfigError: If a value cannot work.
     """
 
-    photometric: float = 1.0
-    smoothness: float = 0.001
-    depth_consistency: float = 1.0
-    depth_transfer: float = 1.0
+    loss: Nodes = field(default_factory=lambda: dict(METHOD))
+    augmentation: Nodes = field(default_factory=dict)
     learning_rate: float = 1e-6
     epochs: int = 1
     batch_size: int = 12
-    patch: int = 5
-    matching: Literal["projected", "offset"] = "projected"
-    reduction: Literal["mean", "sum", "average"] = "mean"
-    residual: Literal["absolute", "log"] = "absolute"
-    automask: bool = True
     augment: bool = False
     freeze_batchnorm: bool = False
     measure_batchnorm: bool = False
@@ -96,7 +72,6 @@ class RefinementSettings:
     min_common_points: int = 20
     consistency_points: Literal["common", "all"] = "common"
     min_parallax: float = 0.0
-    anchored_transfer: bool = False
     memory_mb: int = 1024
     channels_last: bool = True
     compile: bool = False
@@ -105,11 +80,6 @@ class RefinementSettings:
 
     def __post_init__(self) -> None:
         check_types(self, "training")
-        for name in TERMS:
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ConfigError(f"loss.{name} is {getattr(self, name)}; a weight must be 0 or positive.")
-        if not any(self.weights.values()):
-            raise ConfigError("All loss weights are 0, so nothing would be trained; set one of loss.* above 0.")
         positive = ("learning_rate", "epochs", "batch_size", "min_keyframes", "max_reprojection_error")
         for name in (*positive, "keyframe_gap"):
             if not 0 < getattr(self, name) < float("inf"):
@@ -117,14 +87,21 @@ class RefinementSettings:
         for name in ("frame_gap", "workers", "min_common_points", "memory_mb", "checkpoint_minutes"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be 0 or positive.")
-        if self.patch < 1 or self.patch % 2 == 0:
-            raise ConfigError(f"training.patch is {self.patch}; the side of a patch must be an odd number of pixels.")
         if not 0 <= self.min_parallax < 90:
             raise ConfigError(f"training.min_parallax is {self.min_parallax}; it must lie between 0 and 90 degrees.")
         if not 0 <= self.val_fraction <= 0.5:
             raise ConfigError(f"training.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")
 
+    def check_plugins(self) -> None:
+        """Make the loss terms and augmentations once, which imports them, so that what cannot work is found early.
+
+        Raises:
+            PrgbdError: If there is no such plug-in, or an option has a value that cannot work.
+        """
+        make_terms(self.loss)
+        make_augmentations(self.augmentation, self.augment)
+
     @property
     def weights(self) -> dict[str, float]:
-        """The weight of every term."""
-        return {name: float(getattr(self, name)) for name in TERMS}
+        """The weight of every loss term by its name."""
+        return loss_weights(self.loss)

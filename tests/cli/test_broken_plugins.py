@@ -260,12 +260,17 @@ def full(plugin_id: str) -> str:
 
 @pytest.mark.parametrize(("kind", "plugin_id", "words"), BAD, ids=ids)
 def test_the_command_line_names_it_in_one_sentence(cli, kind, plugin_id, words) -> None:
-    chosen = SOUND | {kind: full(plugin_id)}
+    chosen = SOUND | {named(kind): full(plugin_id)}
     answer = cli(*(f"{name}={value}" for name, value in chosen.items()), "task.max_loops=0", "out=run")
     assert answer.code == 2
     for word in (f"'{full(plugin_id)}'", *words):
         assert word in answer.sentence
     assert not Path("run/summary.json").exists()
+
+
+def named(kind: str) -> str:
+    """The option that names a plug-in of a kind."""
+    return {"loss": "loss.x.id", "criterion": "task.criterion", "augmentation": "augmentation.x.id"}.get(kind, kind)
 
 
 def walk(kind: str, plugin_id: str) -> None:

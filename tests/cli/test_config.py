@@ -10,17 +10,18 @@ import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from prgbd.cli.arguments import GROUPS, normalise
+from prgbd.cli.arguments import GROUPS, PLUGIN_GROUPS, normalise
 from prgbd.cli.hydra_bridge import register
 from prgbd.cli.hydra_errors import known_options
 from prgbd.cli.options import read_options
 from prgbd.cli.parts import names_of
 from prgbd.cli.plugin_choices import LOOP_KEYS
 from prgbd.cli.task_options import TASKS
-from prgbd.core.registry import KINDS, REGISTRY, PluginSpec
+from prgbd.core.registry import REGISTRY, PluginSpec
 from prgbd.plugins.slam.orb_gtsam.settings import Settings, TrackingOptions
+from prgbd.training.objective import METHOD, loss_weights
 from prgbd.training.pretraining_settings import PretrainingSettings
-from prgbd.training.refinement_settings import TERMS, RefinementSettings
+from prgbd.training.refinement_settings import RefinementSettings
 
 CONF = Path(str(resources.files("prgbd.conf")))
 
@@ -39,7 +40,7 @@ def test_every_choice_of_every_group_composes(group):
         composed("slam=orb_gtsam", "depth=monodepth2", f"+{group}={name}")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", PLUGIN_GROUPS)
 def test_yaml_of_plugins_names_registered_ids(kind):
     for path in (CONF / kind).glob("*.yaml"):
         assert REGISTRY.resolve(kind, OmegaConf.load(path).id).id == path.stem
@@ -47,10 +48,12 @@ def test_yaml_of_plugins_names_registered_ids(kind):
 
 def test_refinement_defaults_are_the_paper_s_and_said_in_full():
     config = composed()
-    given = {**config["loss"], **config["training"]}
-    defaults = {f.name: f.default for f in fields(RefinementSettings)}
-    assert given == defaults
-    assert {k: config["loss"][k] for k in TERMS} == dict(zip(TERMS, (1.0, 0.001, 1.0, 1.0), strict=True))
+    elsewhere = ("loss", "augmentation")
+    assert config["training"] == {f.name: f.default for f in fields(RefinementSettings) if f.name not in elsewhere}
+    assert loss_weights(config["loss"]) == RefinementSettings().weights
+    assert tuple(RefinementSettings().weights.items()) == tuple(zip(METHOD, (1.0, 0.001, 1.0, 1.0), strict=True))
+    for term, options in config["loss"].items():
+        assert options == {n: p.default for n, p in REGISTRY.options("loss", term).items()}
 
 
 def test_every_option_of_orb_gtsam_can_be_seen_with_its_default():
@@ -76,10 +79,20 @@ def test_pretraining_defaults_are_said_in_full():
     assert composed()["pretraining"] == defaults
 
 
-@pytest.mark.parametrize("term", TERMS)
+@pytest.mark.parametrize("term", METHOD)
 def test_each_ablation_switches_off_exactly_its_term(term):
     loss = composed(f"loss=no_{term}")["loss"]
-    assert {name for name, weight in loss.items() if weight == 0} == {term}
+    assert {name for name, weight in loss_weights(loss).items() if weight == 0} == {term}
+
+
+def test_a_number_stands_for_the_weight_of_a_term_and_keeps_its_other_options():
+    loss = composed("experiment=synthetic", "slam=null", "loss.depth_transfer=0.2", "+loss.edge=0.1", "++loss.x.id=y")[
+        "loss"
+    ]
+    assert loss["depth_transfer"]["weight"] == 0.2
+    assert loss["depth_transfer"]["anchored"] is True
+    assert (loss["edge"], loss["x"]) == ({"weight": 0.1}, {"id": "y"})
+    assert composed("augmentation.jitter=0.3")["augmentation"] == {"jitter": {"probability": 0.3}}
 
 
 @pytest.mark.parametrize(
@@ -98,7 +111,15 @@ def test_sequence_names_reach_the_data_plugin_as_they_were_typed(typed, names):
 
 def test_known_options_are_those_of_the_configuration():
     names = known_options()
-    wanted = {"seed", "training.learning_rate", "loss.photometric", "task.max_loops", "task.png_scale", "slam", "task"}
+    wanted = {
+        "seed",
+        "training.learning_rate",
+        "loss.photometric.weight",
+        "task.max_loops",
+        "task.png_scale",
+        "slam",
+        "task",
+    }
     assert wanted <= set(names)
     assert not any(name.startswith("hydra") for name in names)
 

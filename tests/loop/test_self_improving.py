@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.registry import make_criterion
 from prgbd.evaluation.settings import EvaluationSettings
-from prgbd.loop.criterion import stop_reason
 from prgbd.loop.depth_figures import depth_figures, evenly, write_samples
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.loop_settings import LoopSettings, SensingSettings
 from prgbd.loop.monitor import SilentMonitor
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name
+from prgbd.loop.self_improving import stop_reason
 from prgbd.loop.sensing import DepthSensor
 from tests.loop import fakes
 from tests.loop.fakes import Tiny, Wall
@@ -33,7 +34,7 @@ from tests.loop.fakes import Tiny, Wall
     ],
 )
 def test_stop_rule(before, after, least, stops):
-    reason = stop_reason(before, after, least)
+    reason = stop_reason(make_criterion("held_out"), before, after, least)
     assert bool(reason) == stops
     if stops and None not in (before, after) and after > before:
         assert f"rose from {before:.5f} to {after:.5f}" in reason

@@ -8,20 +8,20 @@ import torch
 from torch import nn
 
 from prgbd.core.depth import DepthEstimator
-from prgbd.core.errors import ConfigError, DataError, SlamError
+from prgbd.core.errors import DataError, PrgbdError, SlamError
+from prgbd.core.registry import make_augmentation
 from prgbd.core.types import DepthPrediction, PinholeCamera
-from prgbd.functional.colour import jittered
 from prgbd.training import refinement_data
-from prgbd.training.augmentation import mirrored
+from prgbd.training.objective import METHOD
 from prgbd.training.refinement import network_scale, refine
-from prgbd.training.refinement_module import DepthRefinement, points_at
-from prgbd.training.refinement_settings import TERMS, RefinementSettings
+from prgbd.training.refinement_module import DepthRefinement
+from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.supervision import keyframe_samples
 
 from .scenes import WallSequence, true_slam_result
 
 QUICK = RefinementSettings(learning_rate=5e-3, epochs=12, batch_size=2, val_fraction=0.25)
-OFF = dict.fromkeys(TERMS, 0.0)
+PLAIN = {"photometric": {"automask": False}, "depth_consistency": 1.0, "depth_transfer": 1.0}
 
 
 class TiltNet(DepthEstimator):
@@ -78,13 +78,13 @@ def test_each_term_lowers_the_depth_error(wall, tmp_path, term):
     hardly the scale, which SLAM's points and the photometric term fix.
     """
     network = TiltNet(start=0.22)
-    weights = {} if term == "all" else OFF | {term: 1.0}
+    loss = METHOD if term == "all" else {"smoothness": 0.0, term: 1.0}
     before = abs_rel(network, wall[0])
-    outcome = refine(network, [wall], replace(QUICK, **weights), tmp_path)
+    outcome = refine(network, [wall], replace(QUICK, loss=loss), tmp_path)
     after = abs_rel(network, wall[0])
     assert after < 0.6 * before
     assert outcome.held_out_after < 0.8 * outcome.held_out_before
-    computed = {"split", "epoch", "step", "total"} | (set(TERMS) if term == "all" else {term})
+    computed = {"split", "epoch", "step", "total"} | (set(METHOD) if term == "all" else {term})
     assert all(set(row) == computed for row in outcome.losses)
 
 
@@ -92,7 +92,7 @@ def test_smoothness_alone_flattens(wall, tmp_path):
     network = TiltNet()
     with torch.no_grad():
         network.plane[0] = 0.05
-    refine(network, [wall], replace(QUICK, **(OFF | {"smoothness": 1.0})), tmp_path)
+    refine(network, [wall], replace(QUICK, loss={"smoothness": 1.0}), tmp_path)
     assert abs(network.plane[0].item()) < 0.04
 
 
@@ -107,7 +107,7 @@ def test_the_outcome_accounts_for_every_keyframe(wall, tmp_path):
     held_out = [row for row in outcome.losses if row["split"] == "held_out"]
     assert [row["step"] for row in train] == list(range(1, 11))
     assert [row["step"] for row in held_out] == [0, 5, 10]
-    weighted = sum(QUICK.weights[name] * train[0][name] for name in TERMS)
+    weighted = sum(QUICK.weights[name] * train[0][name] for name in METHOD)
     assert train[0]["total"] == pytest.approx(weighted, rel=1e-5)
     assert outcome.held_out_before == held_out[0]["total"]
     assert outcome.held_out_after == held_out[-1]["total"]
@@ -272,13 +272,19 @@ def test_slam_of_another_size_is_refused(wall, tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"photometric": -1},
-        {"photometric": float("nan")},
-        OFF,
+        {"loss": {"photometric": -1}},
+        {"loss": {"photometric": float("nan")}},
+        {"loss": {"photometric": [1]}},
+        {"loss": {"photometric": {"masks": True}}},
+        {"loss": {"fotometric": 1}},
+        {"loss": {"photometric": 0.0, "smoothness": 0.0}},
+        {"loss": {}},
+        {"loss": {"depth_transfer": {"patch": 4}}},
+        {"loss": {"depth_transfer": {"reduction": "max"}}},
+        {"loss": {"depth_transfer": {"matching": "guess"}}},
+        {"augmentation": {"mirror": 1.5}},
+        {"augmentation": {"jitter": {"strength": -1}}},
         {"learning_rate": 0},
-        {"patch": 4},
-        {"reduction": "max"},
-        {"matching": "guess"},
         {"consistency_points": "some"},
         {"min_parallax": -1},
         {"val_fraction": 0.9},
@@ -287,8 +293,8 @@ def test_slam_of_another_size_is_refused(wall, tmp_path):
     ],
 )
 def test_settings_that_cannot_work_are_refused(wrong):
-    with pytest.raises(ConfigError):
-        RefinementSettings(**wrong)
+    with pytest.raises(PrgbdError):
+        RefinementSettings(**wrong).check_plugins()
 
 
 @pytest.mark.parametrize(
@@ -360,7 +366,7 @@ def test_terms_vanish_at_the_truth(wall, options):
     sample = samples_of(wall, TiltNet(), **options)
     frames = sample.supervision.samples[2].frames
     depth = truth(sequence, frames[0], frames[3], frames[4])
-    settings = replace(QUICK, automask=False, anchored_transfer=bool(options))
+    settings = replace(QUICK, loss=PLAIN | {"depth_transfer": {"anchored": bool(options)}})
 
     def terms(factor, batch=None):
         module = DepthRefinement(Oracle(depth * factor), settings)
@@ -379,9 +385,9 @@ def test_the_average_of_depth_transfer_is_a_sixth_of_its_mean(wall):
     source = samples_of(wall, TiltNet())
     depth = truth(wall[0], *(source.supervision.samples[1].frames[v] for v in (0, 3, 4))) * 1.1
     mean, average = (
-        DepthRefinement(Oracle(depth), replace(QUICK, reduction=r)).terms(float_batch(source, 1), None)[
-            "depth_transfer"
-        ]
+        DepthRefinement(Oracle(depth), replace(QUICK, loss={"depth_transfer": {"reduction": r}})).terms(
+            float_batch(source, 1), None
+        )["depth_transfer"]
         for r in ("mean", "average")
     )
     assert average.item() == pytest.approx(mean.item() / 6)
@@ -393,29 +399,20 @@ def test_a_mirrored_world_has_the_same_losses(wall):
     source = samples_of(wall, TiltNet())
     batch = float_batch(source, 1, 3)
     depth = truth(sequence, *(source.supervision.samples[i].frames[v] for v in (0, 3, 4) for i in (1, 3))) * 1.07
-    settings = replace(QUICK, automask=False)
+    settings = replace(QUICK, loss=PLAIN | {"smoothness": 0.001})
     straight = DepthRefinement(Oracle(depth), settings).terms(batch, None)
     which = torch.tensor([True, False])
     flipped = torch.where(which.repeat(3)[:, None, None, None], depth.flip(-1), depth)
-    mirror = DepthRefinement(Oracle(flipped), settings).terms(mirrored(batch, which), None)
-    for name in TERMS:
+    mirror = DepthRefinement(Oracle(flipped), settings).terms(
+        make_augmentation("mirror").augment(batch, which, None), None
+    )
+    for name in METHOD:
         assert mirror[name].item() == pytest.approx(straight[name].item(), rel=2e-3), name
-
-
-def test_jitter_is_shared_by_the_images_of_a_sample_and_stays_in_range():
-    images = torch.rand(3, 5, 3, 6, 8)
-    images[:, 1:] = images[:, :1]
-    out = jittered(images, torch.tensor([True, False, True]), torch.Generator().manual_seed(0))
-    assert torch.equal(out[1], images[1])
-    assert out.min() >= 0
-    assert out.max() <= 1
-    assert 0.02 < (out[0] - images[0]).abs().mean() < 0.3
-    # Contrast and saturation act about the mean of each image; equal images stay equal.
-    assert torch.allclose(out[0], out[0, :1].expand_as(out[0]), atol=1e-6)
 
 
 def test_coarser_depth_maps_get_their_own_pixels(wall):
     batch = float_batch(samples_of(wall, TiltNet()), 1)
-    uv, K = points_at(batch, torch.ones(1, 1, 24, 36), 0)
-    assert torch.allclose(uv, (batch.uv[:, 0] + 0.5) / 2 - 0.5)
-    assert torch.allclose(K[0, :2], torch.tensor([[0.5], [0.5]]) * batch.K[0, :2] - torch.tensor([0, 0, 0.25]))
+    small = batch.at_size(24, 36)
+    assert torch.allclose(small.uv, (batch.uv + 0.5) / 2 - 0.5)
+    assert torch.allclose(small.seen_uv, (batch.seen_uv + 0.5) / 2 - 0.5)
+    assert torch.allclose(small.K[0, :2], torch.tensor([[0.5], [0.5]]) * batch.K[0, :2] - torch.tensor([0, 0, 0.25]))

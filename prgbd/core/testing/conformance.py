@@ -6,8 +6,6 @@ Each function exercises a plug-in as prgbd does and raises ``ContractError`` wit
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +14,10 @@ import numpy as np
 
 from prgbd.core.data import Sequence
 from prgbd.core.slam import MODES, GeometricSLAM, TrackingState
+from prgbd.core.testing.check import Check
 from prgbd.core.testing.passive import CheckedSLAM, check_declarations, with_checks
 from prgbd.core.testing.planar_scene import planar_scene
+from prgbd.core.testing.refinement_checks import CHECKS
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.core.validation import check_depth_map, check_frame, check_prediction, require
 
@@ -25,26 +25,15 @@ if TYPE_CHECKING:
     from prgbd.core.depth import DepthEstimator
 
 
-@dataclass(frozen=True)
-class Check:
-    """One thing that must hold of a plug-in.
-
-    Attributes:
-        title: What holds if ``run`` comes back, for a listing.
-        run: Raises ``ContractError`` with one sentence otherwise.
-    """
-
-    title: str
-    run: Callable[[], None]
-
-
 def checks_of(kind: str, plugin: Any) -> list[Check]:
     """Return the checks of a plug-in, to be run in order; each works even if one before it has failed.
 
     Args:
-        kind: ``depth``, ``slam`` or ``data``.
+        kind: One of ``prgbd.core.registry.KINDS``.
         plugin: The plug-in, made with ``checks=False``.
     """
+    if kind in CHECKS:
+        return CHECKS[kind](plugin)
     if kind == "depth":
         return _DepthChecks(plugin, trainable=True).all()
     return _SlamChecks(plugin, None).all() if kind == "slam" else _SequenceChecks(plugin, 5).all()

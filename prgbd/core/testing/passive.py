@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral
 from pathlib import Path
@@ -12,13 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.augmentation import Augmentation
+from prgbd.core.criterion import Criterion, Evidence, Verdict
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, ContractError, PrgbdError
+from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.slam import GeometricSLAM, Listener, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.core.validation import (
+    check_augmented,
     check_depth_map,
     check_frame,
+    check_loss_value,
     check_prediction,
     check_slam_result,
     check_tracking_result,
@@ -46,6 +51,13 @@ def with_checks(kind: str, plugin_id: str, plugin: Any) -> Any:
         return CheckedSLAM(plugin, who)
     if kind == "data":
         return CheckedSequence(plugin, who)
+    if kind == "criterion":
+        return CheckedCriterion(plugin, who)
+    if kind == "augmentation":
+        return CheckedAugmentation(plugin, who)
+    if kind == "loss":
+        plugin.register_forward_hook(functools.partial(_check_loss, who))
+        return plugin
     check_declarations(plugin, who)
     plugin.register_forward_hook(functools.partial(_check_forward, who))
     return plugin
@@ -69,6 +81,49 @@ def check_declarations(estimator: Any, who: str) -> None:
 
 def _check_forward(who: str, module: Any, inputs: tuple[Any, ...], output: Any) -> None:
     check_prediction(output, inputs[0], who)
+
+
+def _check_loss(who: str, module: Any, inputs: tuple[Any, ...], output: Any) -> None:
+    check_loss_value(output, who)
+
+
+class CheckedCriterion(Criterion):
+    """A criterion whose answers are checked."""
+
+    def __init__(self, criterion: Criterion, who: str) -> None:
+        self.unwrapped = criterion
+        self._who = who
+
+    def objection(self, before: float, after: float, min_improvement: float) -> str:
+        """See ``Criterion.objection``."""
+        with _named(self._who):
+            said = self.unwrapped.objection(before, after, min_improvement)
+        require(isinstance(said, str), self._who, f"answers {said!r} in objection; it must be a sentence, or ''.")
+        return said
+
+    def judge(self, best: Mapping[str, Evidence], now: Mapping[str, Evidence], min_improvement: float) -> Verdict:
+        """See ``Criterion.judge``."""
+        with _named(self._who):
+            verdict = self.unwrapped.judge(best, now, min_improvement)
+        kind = type(verdict).__name__
+        require(isinstance(verdict, Verdict), self._who, f"answers a {kind} in judge; it must be a prgbd.Verdict.")
+        return verdict
+
+
+class CheckedAugmentation(Augmentation):
+    """An augmentation whose batches are checked."""
+
+    def __init__(self, augmentation: Augmentation, who: str) -> None:
+        super().__init__(augmentation.probability)
+        self.unwrapped = augmentation
+        self._who = who
+
+    def augment(self, batch: RefinementBatch, which: Any, generator: Any) -> RefinementBatch:
+        """See ``Augmentation.augment``."""
+        with _named(self._who):
+            augmented = self.unwrapped.augment(batch, which, generator)
+        check_augmented(augmented, batch, self._who)
+        return augmented
 
 
 class CheckedSLAM(GeometricSLAM):

@@ -1,0 +1,35 @@
+"""``jitter``: colours change, the geometry does not."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from prgbd.core.augmentation import Augmentation
+from prgbd.core.errors import ConfigError
+from prgbd.core.refinement_batch import RefinementBatch
+from prgbd.functional.colour import jittered
+
+
+class Jitter(Augmentation):
+    """Jitters brightness, contrast, saturation and hue, of all images of a sample alike (Monodepth2).
+
+    The network sees the jittered images, the loss terms compare the ones as they were.
+
+    Args:
+        probability: Share of the samples that are jittered.
+        strength: Factor on Monodepth2's ranges.
+
+    Raises:
+        ConfigError: If a value cannot work.
+    """
+
+    def __init__(self, probability: float = 0.5, strength: float = 1.0) -> None:
+        super().__init__(probability)
+        if not 0 <= strength < float("inf"):
+            raise ConfigError(f"augmentation.jitter.strength is {strength}; it must be 0 or positive.")
+        self.strength = strength
+
+    def augment(self, batch: RefinementBatch, which: Tensor, generator: torch.Generator) -> RefinementBatch:
+        """See ``Augmentation.augment``."""
+        return batch._replace(altered=jittered(batch.inputs, which, generator, self.strength))

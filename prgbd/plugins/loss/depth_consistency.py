@@ -1,0 +1,31 @@
+"""``depth_consistency`` (D): the depth of the keyframe should be that of SLAM's points."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from prgbd.core.loss import LossInputs, LossTerm
+from prgbd.functional.sparse_losses import Residual, depth_consistency
+
+
+class DepthConsistency(LossTerm):
+    """The method's depth consistency, see ``prgbd.functional.sparse_losses.depth_consistency``.
+
+    It is in the network's own unit of depth unless ``residual`` is ``log``. A network that was pre-trained without
+    scale has a median depth near 1, and the term is about as large as the photometric one; for a metric network it is
+    tens of times larger, so give it a weight of a few hundredths there.
+
+    Args:
+        weight: Gamma of the method.
+        residual: ``absolute`` (the paper) or ``log``, how depths are compared; see ``sparse_losses.difference``.
+    """
+
+    def __init__(self, weight: float = 1.0, residual: Residual = "absolute") -> None:
+        super().__init__(weight)
+        self.residual = residual
+
+    def forward(self, inputs: LossInputs) -> Tensor:
+        """See ``LossTerm.forward``."""
+        depth = inputs.current.depth
+        points = inputs.batch.at_size(*depth.shape[-2:])
+        return depth_consistency(depth, points.seen_uv, points.seen_depth, points.seen_mask, residual=self.residual)
