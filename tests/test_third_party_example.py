@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
@@ -61,16 +62,17 @@ def test_its_own_tests_pass(call, python) -> None:
         "pytest", "-q", "-p", "no:cacheprovider", "-n", "0", str(ROOT / "examples" / "third_party_plugin" / "tests")
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert ran.stdout.startswith("....."), ran.stdout
+    assert ran.stdout.startswith("......."), ran.stdout
 
 
-def test_both_are_listed_and_checked(call) -> None:
+def test_all_are_listed_and_checked(call) -> None:
     listing = call("prgbd.plugins")
     assert listing.returncode == 0, listing.stderr
-    for plugin_id in ("example/unet", "example/rgbd_vo"):
+    for name in ("unet", "rgbd_vo", "wall", "edge", "tracked", "dark"):
+        plugin_id = f"example/{name}"
         line = next(line for line in listing.stdout.splitlines() if line.startswith(plugin_id))
         assert "prgbd-example 0.1.0" in line
-    checked = call("prgbd.plugins", "check", "example/rgbd_vo")
+    checked = call("prgbd.plugins", "check", "example/edge")
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
@@ -87,3 +89,26 @@ def test_its_depth_network_is_pretrained_by_its_own_pose_network(call, tmp_path)
     options = ("task=pretrain", "pretraining.max_steps=2", "pretraining.batch_size=2", "depth.channels=8")
     ran = call("prgbd", *PLUGINS, *options, "data.frames=8", "out=run")
     assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def test_a_sweep_over_the_weight_of_its_loss_gives_a_row_each(call, tmp_path) -> None:
+    """Every kind of plug-in of the package takes part, by command line alone."""
+    options = (
+        "data=example/wall",
+        "data.sequences=[wall]",
+        "task.criterion=example/tracked",
+        "criterion.slack=0.5",
+        "augmentation.dark.factor=0.5",
+    )
+    ran = call(
+        "prgbd", "-m", *PLUGINS, *options, "depth.channels=8", "data.frames=12", "+loss.edge.weight=0,0.1", "out=sweep"
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    without, with_edge = (
+        list(csv.DictReader((tmp_path / "sweep" / run / "loops/00/training/losses.csv").open())) for run in "01"
+    )
+    assert {row["edge"] for row in without} == {""}
+    assert all(float(row["edge"]) > 0 for row in with_edge)
+    assert float(with_edge[0]["total"]) > float(without[0]["total"])
+    table = list(csv.DictReader((tmp_path / "sweep" / "ablation.csv").open()))
+    assert [row["run"] for row in table] == ["loss.edge.weight=0", "loss.edge.weight=0.1"]

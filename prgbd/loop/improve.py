@@ -24,6 +24,7 @@ from prgbd.loop.seeding import seed_everything
 from prgbd.loop.self_improving import SelfImprovingLoop
 from prgbd.loop.store import DONE, RunStore
 from prgbd.loop.summary import RunIdentity, write_results
+from prgbd.training.objective import METHOD
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.trainers import TrainerFactory
 
@@ -47,6 +48,8 @@ def improve(
     task: Options | None = None,
     training: Options | None = None,
     loss: Options | None = None,
+    augmentation: Options | None = None,
+    criterion: Options | None = None,
     sensing: Options | None = None,
     evaluation: Options | None = None,
     seed: int = 0,
@@ -69,7 +72,9 @@ def improve(
         max_loops: Refinements at most; short for ``task={"max_loops": ...}``.
         task: Options of the loop, such as ``criterion`` and ``patience``.
         training: Options of the refinement, such as ``learning_rate`` and ``epochs``.
-        loss: Weights of the loss terms.
+        loss: Weights or options of loss terms by their names, besides the method's own.
+        augmentation: Options of augmentations by their names.
+        criterion: Options of the criterion that ``task`` names.
         sensing: Options of the network as a sensor, such as ``precision``.
         evaluation: How depth and trajectories are compared with the truth, where there is any.
         seed: Seeds everything random.
@@ -87,11 +92,14 @@ def improve(
     task = {**(task or {}), **({} if max_loops is None else {"max_loops": max_loops})}
     settings = LoopSettings(
         **vars(from_mapping(SelfImprovement, task, "task")),
+        criterion_options=criterion or {},
         sensing=from_mapping(SensingSettings, sensing or {}, "sensing"),
         evaluation=from_mapping(EvaluationSettings, evaluation or {}, "evaluation"),
         seed=seed,
     )
-    refinement = from_mapping(RefinementSettings, {"seed": seed, **(loss or {}), **(training or {})}, "training")
+    plugins = {"loss": {**METHOD, **(loss or {})}, "augmentation": augmentation or {}}
+    refinement = from_mapping(RefinementSettings, {"seed": seed, **plugins, **(training or {})}, "training")
+    refinement.check_plugins()
     seed_everything(seed)
     sequences, learnt = make_recordings(data)
     test_sequences, tested = make_recordings(test)

@@ -33,8 +33,6 @@ class SelfImprovingLoop:
         self.parts = parts
         self.estimator, self.settings = parts.estimator, parts.settings
         self.store, self.monitor = parts.store, parts.monitor
-        if parts.refinement is not None:
-            parts.refinement.check_plugins()
         self._criterion: Criterion = make_criterion(self.settings.criterion, **self.settings.criterion_options)
         self._evidence: dict[int, dict[str, Evidence]] = {}
 

@@ -66,6 +66,19 @@ def test_it_shows_what_every_loop_reached():
     assert lines[-1].endswith("report.html")
 
 
+def test_loss_terms_augmentations_and_criterion_are_chosen_by_name():
+    result = improve(
+        loss={"photometric": 0, "depth_transfer": {"weight": 0.1, "residual": "log"}},
+        augmentation={"jitter": {"strength": 0.5}},
+        task={"criterion": "both"},
+        max_loops=1,
+    )
+    header, first = (result.folder / "loops/00/training/losses.csv").read_text().splitlines()[:2]
+    assert header == "step,epoch,total,photometric,smoothness,depth_consistency,depth_transfer"
+    assert first.split(",")[3] == ""
+    assert all(first.split(",")[4:])
+
+
 def test_every_step_is_printed_unless_somebody_else_watches(capsys):
     improve(monitor=None, max_loops=0)
     assert "Loop 0: pRGBD-Initial" in capsys.readouterr().out
@@ -109,6 +122,7 @@ def test_plugins_by_id_with_options_beside_objects():
         ({"data": [3]}, ["data holds 3"]),
         ({"data": [Wall(), Wall()]}, ["'wall'", "twice"]),
         ({"data": Wall(frames=1)}, ["'wall'", "1 frame"]),
+        ({"loss": {"fotometric": 1}}, ["'photometric'"]),
         ({"training": {"lr": 1e-2}}, ["training.lr", "training.learning_rate"]),
         ({"task": {"patience": -1}}, ["task.patience"]),
         ({"trainer": {"devices": "x"}}, ["trainer", "devices"]),

@@ -16,6 +16,16 @@ def test_the_odometry_keeps_the_contract():
     assert result.tracked_frames >= 8
 
 
+def test_the_data_set_keeps_the_contract():
+    prgbd.check_sequence(prgbd.make_data("example/wall"))
+
+
+def test_the_parts_of_a_refinement_keep_the_contract():
+    prgbd.check_loss(prgbd.make_loss("example/edge"))
+    prgbd.check_criterion(prgbd.make_criterion("example/tracked", slack=0.01))
+    prgbd.check_augmentation(prgbd.make_augmentation("example/dark"))
+
+
 def test_the_odometry_measures_the_motion():
     frames = planar_scene(8)  # 3 pixels a frame to the right, 2 m in front of a wall
     camera = prgbd.PinholeCamera.from_fov(320, 240, 60.0)
