@@ -97,6 +97,10 @@ def improve(
         evaluation=from_mapping(EvaluationSettings, evaluation or {}, "evaluation"),
         seed=seed,
     )
+    if settings.evaluation.depth_test is not None:
+        raise ConfigError(
+            "evaluation.depth_test names options of data=, which improve has not; give recordings as test=."
+        )
     plugins = {"loss": {**METHOD, **(loss or {})}, "augmentation": augmentation or {}}
     refinement = from_mapping(RefinementSettings, {"seed": seed, **plugins, **(training or {})}, "training")
     refinement.check_plugins()

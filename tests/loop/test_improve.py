@@ -126,6 +126,7 @@ def test_plugins_by_id_with_options_beside_objects():
         ({"training": {"lr": 1e-2}}, ["training.lr", "training.learning_rate"]),
         ({"task": {"patience": -1}}, ["task.patience"]),
         ({"trainer": {"devices": "x"}}, ["trainer", "devices"]),
+        ({"evaluation": {"depth_test": {"split": "test.txt"}}}, ["evaluation.depth_test", "test="]),
         ({"callbacks": ["early"]}, ["'early'", "Callback"]),
     ],
     ids=lambda value: "" if isinstance(value, list) else next(iter(value)),
