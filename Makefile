@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test coverage lint types docs docs-serve pictures clean
+.PHONY: help setup demo test fuzz coverage lint types docs docs-serve pictures clean
 
 help:  ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
@@ -30,6 +30,9 @@ $(VENV)/.extras: $(STAMP)
 
 test: $(VENV)/.extras  ## Run the tests, after adding all extras
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+fuzz: $(VENV)/.extras  ## Try some thousand damaged and hostile inputs, other ones each time (10 minutes)
+	PRGBD_FUZZ=large $(BIN)/python -m pytest -n $(JOBS) --dist load tests/robustness
 
 coverage: $(VENV)/.extras  ## Run the tests and print how much of the Python code they execute
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --cov --cov-report=term:skip-covered

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from prgbd.core.errors import DataError
+from prgbd.io.reading import read_text
 
 
 @contextlib.contextmanager
@@ -89,10 +90,8 @@ def read_json(path: Path | str) -> Any:
     Raises:
         DataError: If the file is missing or is not JSON.
     """
-    path = Path(path)
+    text = read_text(path, "JSON")
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"Cannot read {path} ({error.strerror}); check that the path is right.") from error
-    except ValueError as error:  # JSONDecodeError and UnicodeDecodeError
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not valid JSON ({error}); delete it so that it is written again.") from error
