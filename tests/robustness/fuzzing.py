@@ -85,7 +85,8 @@ def check_sentence(text: str) -> None:
     """Assert that an error is a sentence for a person."""
     assert text.strip(), "an error without a word"
     assert len(text) <= LONGEST, f"{len(text)} characters:\n{text}"
-    assert "Traceback" not in text and " object at 0x" not in text, text
+    assert "Traceback" not in text, text
+    assert " object at 0x" not in text, text
 
 
 def table() -> list[str]:
