@@ -9,6 +9,7 @@ from typing import Any, Literal
 from prgbd.cli.plugin_choices import CHOICES, DataChoice, DepthChoice, SlamChoice, read_choice
 from prgbd.cli.task_options import TASKS, TaskOptions
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Seed
 from prgbd.core.options import from_mapping
 from prgbd.core.registry import SHORT_FOR
 from prgbd.evaluation.settings import EvaluationSettings
@@ -39,7 +40,7 @@ class CommonOptions:
         ConfigError: If a value cannot work.
     """
 
-    seed: int = 0
+    seed: Seed = 0
     out: str = "outputs"
     resume: str | None = None
     debug: bool = False
@@ -52,8 +53,6 @@ class CommonOptions:
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise ConfigError(f"seed is {self.seed}; it must be a whole number, 0 or more.")
         object.__setattr__(self, "export", check_formats(self.export))
 
 

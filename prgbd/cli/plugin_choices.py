@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.errors import DataError
+from prgbd.core.option_ranges import Positive
 from prgbd.core.options import from_mapping
 from prgbd.loop.map_files import MapFiles
 
@@ -43,15 +44,11 @@ class SlamChoice(PluginChoice):
     """
 
     mode: Literal["auto", "mono", "rgbd", "stereo", "pseudo_rgbd"] = "auto"
-    baseline: float | Literal["auto", "adaptive", "running"] | None = "auto"
+    baseline: Positive | Literal["auto", "adaptive", "running"] | None = "auto"
     load_map: Path | None = None
     save_map: bool | Path | None = False
 
     def __post_init__(self) -> None:
-        if isinstance(self.baseline, float) and not self.baseline > 0:
-            raise ConfigError(
-                f"slam.baseline={self.baseline:g} cannot be used; give a positive number of metres, auto, or running."
-            )
         if self.load_map is not None and not self.load_map.is_file():
             raise DataError(f"There is no map {self.load_map}; make one with slam.save_map.")
 

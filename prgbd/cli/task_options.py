@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Count, Positive
 from prgbd.loop.loop_settings import SelfImprovement
 
 
@@ -31,15 +31,9 @@ class DepthTask:
     """
 
     name: ClassVar[str] = "depth"
-    png_scale: float = 256.0
+    png_scale: Positive = 256.0
     npz: bool = False
-    every: int = 1
-
-    def __post_init__(self) -> None:
-        if not self.png_scale > 0:
-            raise ConfigError(f"task.png_scale is {self.png_scale}; it must be positive.")
-        if self.every < 1:
-            raise ConfigError(f"task.every is {self.every}; it must be 1 or more.")
+    every: Count = 1
 
 
 @dataclass(frozen=True)

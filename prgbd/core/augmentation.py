@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Share
 
 if TYPE_CHECKING:
     import torch
@@ -27,7 +28,7 @@ class Augmentation(ABC):
 
     probability: float = 0.5
 
-    def __init__(self, probability: float = 0.5) -> None:
+    def __init__(self, probability: Share = 0.5) -> None:
         if not 0 <= probability <= 1:
             raise ConfigError(f"{type(self).__name__} has a probability of {probability}; it must lie between 0 and 1.")
         self.probability = probability

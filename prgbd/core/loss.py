@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from prgbd.core.errors import ContractError
+from prgbd.core.option_ranges import NotNegative
 from prgbd.core.refinement_batch import RefinementBatch, View
 from prgbd.core.types import DepthPrediction
 
@@ -89,7 +90,7 @@ class LossTerm(nn.Module, ABC):
     views: ClassVar[tuple[View, ...]] = (View.CURRENT,)
     exact_gradient: ClassVar[bool] = True
 
-    def __init__(self, weight: float = 1.0) -> None:
+    def __init__(self, weight: NotNegative = 1.0) -> None:
         super().__init__()
         self.weight = weight
 

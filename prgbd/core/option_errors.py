@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Range
 
 _WORDS = {int: "a whole number", float: "a number", bool: "true or false", str: "text", Path: "a file or folder"}
+_LONGEST = 200  # characters of a value in a message
 _WORDS_OF_SEVERAL = {int: "whole numbers", float: "numbers", bool: "truth values", str: "texts"}
 
 
@@ -40,7 +43,17 @@ def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
 
 def refused(key: str, value: Any, annotation: Any) -> ConfigError:
     """Return the error for a value that an option of a type does not take."""
-    return ConfigError(f"{key} is {value!r}; it must be {wanted(annotation)}.")
+    infinite = isinstance(value, float) and math.isinf(value)
+    return ConfigError(f"{key} is {shown(value)}; it must be {wanted(annotation)}{' and finite' if infinite else ''}.")
+
+
+def shown(value: Any) -> str:
+    """Return a value as it is written, cut in the middle where that would fill the screen."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no whole numbers of more than 4300 digits
+        return "a number of thousands of digits"
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 4 :]}"
 
 
 def wanted(annotation: Any) -> str:
@@ -48,19 +61,31 @@ def wanted(annotation: Any) -> str:
     origin, parts = get_origin(annotation), get_args(annotation)
     if annotation is NoneType:
         return "null"
+    if origin is Annotated:
+        ranges = [part for part in parts[1:] if isinstance(part, Range)]
+        return ranges[0].words(wanted(parts[0])) if ranges else wanted(parts[0])
     if origin is Literal:
         return _either([str(part).lower() if isinstance(part, bool) else str(part) for part in parts])
     if origin in (Union, UnionType):
         return _either([wanted(part) for part in sorted(parts, key=lambda part: part is NoneType)])
     if origin in (list, tuple):
         count = f"{len(parts)} " if origin is tuple and Ellipsis not in parts else ""
-        words = wanted(parts[0]) if get_origin(parts[0]) is Literal else _WORDS_OF_SEVERAL.get(parts[0], "values")
-        return f"a list of {count}{words}"
+        return f"a list of {count}{_of_several(parts[0])}"
     if annotation in _WORDS:
         return _WORDS[annotation]
     if origin is dict or is_dataclass(annotation):
         return "a group of options"
     return f"a value of the type {annotation.__name__ if isinstance(annotation, type) else annotation}"
+
+
+def _of_several(kind: Any) -> str:
+    if get_origin(kind) is Literal:
+        return wanted(kind)
+    if get_origin(kind) is Annotated:
+        kind, *notes = get_args(kind)
+        ranges = [note for note in notes if isinstance(note, Range)]
+        return ranges[0].words(_of_several(kind)) if ranges else _of_several(kind)
+    return _WORDS_OF_SEVERAL.get(kind, "values")
 
 
 def dotted(prefix: str, name: str) -> str:

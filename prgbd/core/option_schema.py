@@ -22,7 +22,7 @@ def schema(cls: type[Any], without: Collection[str] = (), **more: Any) -> type[A
         without: Dotted names of fields to leave out.
         more: Further fields that take anything, with their defaults.
     """
-    hints = field_types(cls)
+    hints = field_types(cls, ranges=False)
     described: list[Any] = [
         (option.name, kind, _schema_default(option, kind))
         for option in fields(cls)
@@ -58,4 +58,5 @@ def _mirrored(value: Any, kind: Any) -> Any:
     """Return a default of an option as its schema holds it."""
     if not is_group(kind):
         return value
-    return kind(**{o.name: _mirrored(getattr(value, o.name), field_types(kind)[o.name]) for o in fields(kind)})
+    kinds = field_types(kind, ranges=False)
+    return kind(**{o.name: _mirrored(getattr(value, o.name), kinds[o.name]) for o in fields(kind)})

@@ -15,20 +15,34 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from types import NoneType, SimpleNamespace, UnionType
-from typing import TYPE_CHECKING, Any, Literal, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeGuard,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from prgbd.core.errors import ConfigError
-from prgbd.core.option_errors import dotted, refused, unknown_option
+from prgbd.core.option_errors import dotted, refused, shown, unknown_option
+from prgbd.core.option_ranges import Range
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 T = TypeVar("T")
+_INT64 = Range(-(2**63), 2**63 - 1)
 
 
 def from_mapping(cls: type[T], given: Mapping[str, Any], prefix: str = "") -> T:
@@ -63,7 +77,7 @@ def _made(cls: type[T], given: Mapping[str, Any], prefix: str, all_names: Collec
         elif is_group(hints[name]) and isinstance(given[name], Mapping):
             values[name] = _group(hints[name], option, given[name], key, all_names)
         else:
-            values[name] = _converted(given[name], hints[name], key)
+            values[name] = converted(given[name], hints[name], key)
     return cls(**values)
 
 
@@ -76,8 +90,8 @@ def check_types(options: Any, prefix: str = "") -> None:
     hints = field_types(type(options))
     for option in fields(options):
         value, key = getattr(options, option.name), dotted(prefix, option.name)
-        converted = _converted(value, hints[option.name], key)
-        if converted != (tuple(value) if isinstance(converted, tuple) else value):
+        meant = converted(value, hints[option.name], key)
+        if meant != (tuple(value) if isinstance(meant, tuple) else value):
             raise refused(key, value, hints[option.name])
 
 
@@ -100,7 +114,7 @@ def checked_arguments(target: Callable[..., Any], given: Mapping[str, Any], pref
     if absent:
         raise ConfigError(f"The option {' and '.join(absent)} has no default; add {absent[0]}=...")
     return {
-        name: _converted(value, _hint(target, name, known[name].annotation), dotted(prefix, name))
+        name: converted(value, _hint(target, name, known[name].annotation), dotted(prefix, name))
         for name, value in given.items()
     }
 
@@ -134,9 +148,11 @@ def _group(cls: type[Any], option: Field[Any], given: Mapping[str, Any], key: st
     return _made(cls, default | dict(given), key, all_names)
 
 
-def _converted(value: Any, annotation: Any, key: str) -> Any:
+def converted(value: Any, annotation: Any, key: str) -> Any:
     """Return a value with the type of an annotation, or raise a ConfigError with the option's name."""
     origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _in_range(value, annotation, key)
     if is_group(annotation):
         if isinstance(value, annotation):
             return value
@@ -155,14 +171,40 @@ def _converted(value: Any, annotation: Any, key: str) -> Any:
     if origin is dict:
         if not isinstance(value, Mapping):
             raise refused(key, value, annotation)
-        return {str(name): _converted(item, parts[1], dotted(key, name)) for name, item in value.items()}
+        return {str(name): converted(item, parts[1], dotted(key, name)) for name, item in value.items()}
     if annotation in (int, float, bool) and getattr(value, "shape", None) == ():
         value = value.item()  # a scalar of numpy's
-    if annotation is int and isinstance(value, float) and value.is_integer():
-        return int(value)
     if annotation is bool and isinstance(value, int) and not isinstance(value, bool):
         raise refused(key, value, annotation)
+    if annotation in (int, float):
+        return _number(value, annotation, key)
     return _by_omegaconf(value, annotation, key)
+
+
+def _number(value: Any, kind: type[int] | type[float], key: str) -> Any:
+    """Convert a number; NaN, infinity and what does not fit into 64 bits are none."""
+    if kind is int and isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if kind is int and isinstance(value, float):
+        raise refused(key, value, kind)
+    number = _by_omegaconf(value, kind, key)
+    if kind is float and not math.isfinite(number):
+        raise refused(key, number, kind)
+    if kind is int and not _INT64.least <= number <= _INT64.most:
+        raise ConfigError(f"{key} is {shown(number)}; it must be a whole number of 64 bits.")
+    return number
+
+
+def _in_range(value: Any, annotation: Any, key: str) -> Any:
+    """Convert a value that must lie in the ranges of its annotation."""
+    kind, *notes = get_args(annotation)
+    try:
+        meant = converted(value, kind, key)
+    except ConfigError:
+        raise refused(key, value, annotation) from None  # names the range as well
+    if any(isinstance(note, Range) and meant not in note for note in notes):
+        raise refused(key, meant, annotation)
+    return meant
 
 
 def _alternative(value: Any, annotation: Any, key: str) -> Any:
@@ -170,15 +212,20 @@ def _alternative(value: Any, annotation: Any, key: str) -> Any:
     parts = get_args(annotation)
     if value is None and NoneType in parts:
         return None
-    for part in sorted(parts, key=lambda part: (get_origin(part) is not Literal, not _is_of(value, part))):
+    for part in sorted(parts, key=lambda part: (get_origin(part) is not Literal, not _is_of(value, _plain(part)))):
         if part is NoneType or (part is str and (isinstance(value, bool) or not isinstance(value, str | int | Path))):
             continue
         try:
-            return _converted(value, part, key)
+            return converted(value, part, key)
         except ConfigError:
             if is_group(part) and isinstance(value, Mapping):
                 raise  # the sentence about the option within the group says more
     raise refused(key, value, annotation)
+
+
+def _plain(annotation: Any) -> Any:
+    """Return a type without its range."""
+    return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
 def _is_of(value: Any, kind: Any) -> bool:
@@ -196,7 +243,7 @@ def _sequence(value: Any, annotation: Any, key: str) -> Any:
         raise refused(key, list(value), annotation)
     types = parts if fixed else [parts[0]] * len(value)
     try:
-        entries = [_converted(item, part, key) for item, part in zip(value, types, strict=True)]
+        entries = [converted(item, part, key) for item, part in zip(value, types, strict=True)]
     except ConfigError:
         raise refused(key, list(value), annotation) from None
     return tuple(entries) if kind is tuple else entries
@@ -212,7 +259,7 @@ def _by_omegaconf(value: Any, annotation: Any, key: str) -> Any:
         return value
     try:
         return OmegaConf.to_container(OmegaConf.merge(box, {"value": value}))["value"]  # type: ignore[call-overload, index]
-    except OmegaConfBaseException:
+    except (OmegaConfBaseException, ValueError, OverflowError):  # the latter of numbers with thousands of digits
         raise refused(key, value, annotation) from None
 
 
@@ -244,20 +291,26 @@ def _check_names(given: Mapping[str, Any], names: Iterable[str], prefix: str, kn
             raise unknown_option(dotted(prefix, name), known)
 
 
-def field_types(cls: Any) -> dict[str, Any]:
-    """Return the types of a dataclass's fields; Any for one that names what is not imported when it runs."""
+def field_types(cls: Any, *, ranges: bool = True) -> dict[str, Any]:
+    """Return the types of a dataclass's fields; Any for one that names what is not imported when it runs.
+
+    Args:
+        cls: The dataclass.
+        ranges: Whether types are ``Annotated`` with their ranges.
+    """
     try:
-        return get_type_hints(cls)
+        return get_type_hints(cls, include_extras=ranges)
     except Exception:  # an annotation may raise anything
-        return {option.name: _hint(cls, option.name, option.type) for option in fields(cls)}
+        return {option.name: _hint(cls, option.name, option.type, ranges=ranges) for option in fields(cls)}
 
 
-def _hint(owner: Any, name: str, annotation: Any) -> Any:
+def _hint(owner: Any, name: str, annotation: Any, *, ranges: bool = True) -> Any:
     """Return the type of one field or parameter."""
     if annotation is inspect.Parameter.empty:
         return Any
     module = vars(sys.modules.get(owner.__module__, sys.modules[__name__]))
+    holder = SimpleNamespace(__annotations__={name: annotation})
     try:
-        return get_type_hints(SimpleNamespace(__annotations__={name: annotation}), globalns=module)[name]
+        return get_type_hints(holder, globalns=module, include_extras=ranges)[name]
     except Exception:  # an annotation may raise anything
         return Any

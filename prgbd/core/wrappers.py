@@ -19,6 +19,8 @@ from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Count, Positive
+from prgbd.core.options import checked_arguments
 from prgbd.core.types import DepthPrediction
 
 
@@ -113,15 +115,12 @@ class Scaled(DepthWrapper):
         estimator: The estimator to wrap.
         factor: What depth is multiplied by.
         metric: Whether depth is in metres afterwards.
-
-    Raises:
-        ConfigError: If the factor is not positive.
     """
 
-    def __init__(self, estimator: DepthEstimator, factor: float, metric: bool = True) -> None:
+    def __init__(self, estimator: DepthEstimator, factor: Positive, metric: bool = True) -> None:
         super().__init__(estimator)
-        self.factor = _positive("scaled", "factor", factor)
-        self._metric = bool(metric)
+        self.factor = factor
+        self._metric = metric
 
     @property
     def metric(self) -> bool:  # type: ignore[override]
@@ -150,16 +149,13 @@ class MedianScaled(DepthWrapper):
     Args:
         estimator: The estimator to wrap.
         median: The median that every image gets, in units of depth.
-
-    Raises:
-        ConfigError: If the median is not positive.
     """
 
     metric = False
 
-    def __init__(self, estimator: DepthEstimator, median: float = 10.0) -> None:
+    def __init__(self, estimator: DepthEstimator, median: Positive = 10.0) -> None:
         super().__init__(estimator)
-        self.median = _positive("median_scaled", "median", median)
+        self.median = median
 
     @property
     def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
@@ -192,7 +188,9 @@ class Clipped(DepthWrapper):
         ConfigError: If nothing lies between the limits.
     """
 
-    def __init__(self, estimator: DepthEstimator, nearest: float | None = None, farthest: float | None = None) -> None:
+    def __init__(
+        self, estimator: DepthEstimator, nearest: Positive | None = None, farthest: Positive | None = None
+    ) -> None:
         super().__init__(estimator)
         near, far = estimator.depth_range
         self.limits = (float(near if nearest is None else nearest), float(far if farthest is None else farthest))
@@ -223,14 +221,11 @@ class Cached(DepthWrapper):
     Args:
         estimator: The estimator to wrap.
         size: How many predictions are kept.
-
-    Raises:
-        ConfigError: If the size is not positive.
     """
 
-    def __init__(self, estimator: DepthEstimator, size: int = 64) -> None:
+    def __init__(self, estimator: DepthEstimator, size: Count = 64) -> None:
         super().__init__(estimator)
-        self.size = int(_positive("cached", "size", size))
+        self.size = size
         self._known: OrderedDict[Any, NDArray[np.float32]] = OrderedDict()
 
     def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -270,11 +265,8 @@ def wrap(estimator: DepthEstimator, wrappers: Sequence[str | Mapping[str, Any]])
         name, options = (given, {}) if isinstance(given, str) else _single(given)
         if name not in WRAPPERS:
             raise ConfigError(f"There is no depth wrapper '{name}'; choose from {', '.join(WRAPPERS)}.")
-        try:
-            estimator = WRAPPERS[name](estimator, **options)
-        except TypeError as error:
-            reason = str(error).partition("() ")[2] or error
-            raise ConfigError(f"The depth wrapper {name} {reason}; mend depth.wrappers.") from error
+        given = {**options, "estimator": estimator}
+        estimator = WRAPPERS[name](**checked_arguments(WRAPPERS[name], given, f"depth.wrappers.{name}"))
     return estimator
 
 
@@ -296,9 +288,3 @@ def _single(given: Any) -> tuple[str, dict[str, Any]]:
             f"The options of the depth wrapper {name} must be written {{option: value}}, got {options!r}."
         )
     return str(name), dict(options or {})
-
-
-def _positive(wrapper: str, option: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0 or not np.isfinite(value):
-        raise ConfigError(f"The depth wrapper {wrapper} needs a positive {option}, got {value!r}; mend depth.wrappers.")
-    return float(value)

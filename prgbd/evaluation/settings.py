@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Count, NotNegative, Positive
 from prgbd.core.options import check_types
 
 OUTDOORS = 30.0  # metres; a cap from here on gets the caps and bins of a street
@@ -34,10 +35,10 @@ class EvaluationSettings:
         ConfigError: If a value cannot work.
     """
 
-    depth_images: int | None = 100
-    depth_cap: float = 80.0
-    depth_caps: tuple[float, ...] | Literal["auto"] | None = "auto"
-    depth_bins: tuple[float, ...] | Literal["auto"] | None = "auto"
+    depth_images: Count | None = 100
+    depth_cap: Positive = 80.0
+    depth_caps: tuple[Positive, ...] | Literal["auto"] | None = "auto"
+    depth_bins: tuple[NotNegative, ...] | Literal["auto"] | None = "auto"
     depth_crop: Literal["none", "garg", "eigen"] = "none"
     depth_test: dict[str, Any] | None = None
     median_scaling: bool = True
@@ -45,16 +46,8 @@ class EvaluationSettings:
 
     def __post_init__(self) -> None:
         check_types(self, "evaluation")
-        if not self.depth_cap > 0:
-            raise ConfigError(f"evaluation.depth_cap is {self.depth_cap}; it must be positive (metres).")
-        if self.depth_images is not None and self.depth_images < 1:
-            raise ConfigError(
-                f"evaluation.depth_images is {self.depth_images}; it must be at least 1, or null for all."
-            )
-        if not all(cap > 0 for cap in _given(self.depth_caps) or ()):
-            raise ConfigError(f"evaluation.depth_caps is {self.depth_caps}; the caps must be positive (metres).")
         bins = _given(self.depth_bins)
-        if bins and (len(bins) < 2 or bins[0] < 0 or any(b <= a for a, b in pairwise(bins))):
+        if bins and (len(bins) < 2 or any(b <= a for a, b in pairwise(bins))):
             raise ConfigError(
                 f"evaluation.depth_bins is {list(bins)}; give at least two ascending depths in metres, or []."
             )

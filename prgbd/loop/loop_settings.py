@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from prgbd.core.computing import Computing
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Count, CountOrZero, Range
 from prgbd.core.options import check_types
 from prgbd.core.registry import REGISTRY
 from prgbd.evaluation.settings import EvaluationSettings
@@ -33,18 +34,12 @@ class SensingSettings(Computing):
         ConfigError: If a value cannot work.
     """
 
-    batch_size: int | Literal["auto"] | None = "auto"
-    baseline_percentile: float = 100.0
+    batch_size: Count | Literal["auto"] | None = "auto"
+    baseline_percentile: Annotated[float, Range(0, 100, without=0)] = 100.0
     cache: Path | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.frames_at_once is not None and self.frames_at_once < 1:
-            raise ConfigError(f"sensing.batch_size is {self.batch_size}; it must be at least 1.")
-        if not 0 < self.baseline_percentile <= 100:
-            raise ConfigError(
-                f"sensing.baseline_percentile is {self.baseline_percentile}; it must lie between 0 and 100."
-            )
+        check_types(self, "sensing")
 
     @property
     def frames_at_once(self) -> int | None:
@@ -75,20 +70,15 @@ class SelfImprovement:
 
     name: ClassVar[str] = "self_improve"
 
-    max_loops: int = 3
-    min_improvement: float | None = 0.0
+    max_loops: CountOrZero = 3
+    min_improvement: Annotated[float, Range(0, 1, without=1)] | None = 0.0
     criterion: str = "held_out"
-    patience: int = 0
+    patience: CountOrZero = 0
     first_teacher: Literal["pseudo_rgbd", "mono"] = "pseudo_rgbd"
     baselines: tuple[Literal["mono", "posenet"], ...] = ()
 
     def __post_init__(self) -> None:
         check_types(self, "task")
-        for name in ("max_loops", "patience"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"task.{name} is {getattr(self, name)}; it must be a whole number, 0 or more.")
-        if self.min_improvement is not None and not 0 <= self.min_improvement < 1:
-            raise ConfigError(f"task.min_improvement is {self.min_improvement}; it must lie between 0 and 1.")
 
     @property
     def all_baselines(self) -> tuple[str, ...]:

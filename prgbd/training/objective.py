@@ -7,11 +7,12 @@ of an augmentation. What stands here once serves every plug-in: nothing below kn
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import NotNegative, Share
+from prgbd.core.options import converted
 from prgbd.core.registry import REGISTRY, SHORT_FOR
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ Nodes = Mapping[str, Mapping[str, Any] | float]
 
 METHOD: Nodes = {name: {} for name in ("photometric", "smoothness", "depth_consistency", "depth_transfer")}
 """The four terms of the method with their own weights."""
+RANGES = {"loss": NotNegative, "augmentation": Share}
+"""What the option that a plain number stands for may be."""
 STANDARD: Nodes = {name: {} for name in ("mirror", "jitter")}
 """The augmentations of ``training.augment=true``, as Monodepth2 has them."""
 
@@ -45,7 +48,10 @@ def read_nodes(kind: str, nodes: Nodes) -> dict[str, tuple[str, dict[str, Any]]]
             )
         options = {str(key): value for key, value in node.items()}
         plugin_id = REGISTRY.find(kind, str(options.pop("id", name))).id
-        found[str(name)] = (plugin_id, REGISTRY.checked_options(kind, plugin_id, options, f"{kind}.{name}"))
+        checked = REGISTRY.checked_options(kind, plugin_id, options, f"{kind}.{name}")
+        if (short := SHORT_FOR[kind]) in checked:  # plug-ins of others may declare no range
+            converted(checked[short], RANGES[kind], f"{kind}.{name}.{short}")
+        found[str(name)] = (plugin_id, checked)
     return found
 
 
@@ -58,8 +64,6 @@ def loss_weights(nodes: Nodes) -> dict[str, float]:
     weights = {}
     for name, (plugin_id, options) in read_nodes("loss", nodes).items():
         weight = options.get("weight", REGISTRY.options("loss", plugin_id)["weight"].default)
-        if not 0 <= weight < math.inf:
-            raise ConfigError(f"loss.{name}.weight is {weight}; a weight must be 0 or positive.")
         weights[name] = float(weight)
     if not any(weights.values()):
         raise ConfigError("All loss weights are 0, so nothing would be trained; set one of loss.* above 0.")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Count, CountOrZero, NotNegative, Positive, Range, Seed
 from prgbd.core.options import check_types
 
 
@@ -37,33 +39,25 @@ class PretrainingSettings:
         ConfigError: If a value cannot work.
     """
 
-    epochs: int = 20
-    max_steps: int = -1
-    batch_size: int = 12
-    learning_rate: float = 1e-4
-    lr_step_epoch: int = 15
-    smoothness: float = 1e-3
+    epochs: Count = 20
+    max_steps: Annotated[int, Range(-1, 10**9)] = -1
+    batch_size: Count = 12
+    learning_rate: Positive = 1e-4
+    lr_step_epoch: Count = 15
+    smoothness: NotNegative = 1e-3
     automask: bool = True
     augment: bool = True
-    frame_gap: int = 1
-    min_motion: float = 1.0
-    workers: int = 0
-    memory_mb: int = 1024
+    frame_gap: Count = 1
+    min_motion: NotNegative = 1.0
+    workers: CountOrZero = 0
+    memory_mb: CountOrZero = 1024
     channels_last: bool = False
     compile: bool = False
-    val_fraction: float = 0.05
-    checkpoint_minutes: float = 5.0
-    seed: int = 0
+    val_fraction: Annotated[float, Range(0, 0.5)] = 0.05
+    checkpoint_minutes: NotNegative = 5.0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
         check_types(self, "pretraining")
-        for name in ("epochs", "batch_size", "learning_rate", "lr_step_epoch", "frame_gap"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be positive.")
-        for name in ("smoothness", "min_motion", "workers", "memory_mb", "checkpoint_minutes"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ConfigError(f"pretraining.{name} is {getattr(self, name)}; it must be 0 or positive.")
-        if self.max_steps < -1 or self.max_steps == 0:
+        if self.max_steps == 0:
             raise ConfigError(f"pretraining.max_steps is {self.max_steps}; it must be positive, or -1 for no limit.")
-        if not 0 <= self.val_fraction <= 0.5:
-            raise ConfigError(f"pretraining.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")

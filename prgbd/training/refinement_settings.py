@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
-from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Count, CountOrZero, NotNegative, Positive, Range, Seed
 from prgbd.core.options import check_types
 from prgbd.training.objective import METHOD, Nodes, loss_weights, make_augmentations, make_terms
 
@@ -55,42 +55,31 @@ class RefinementSettings:
 
     loss: Nodes = field(default_factory=lambda: dict(METHOD))
     augmentation: Nodes = field(default_factory=dict)
-    learning_rate: float = 1e-6
-    epochs: int = 1
-    batch_size: int = 12
+    learning_rate: Positive = 1e-6
+    epochs: Count = 1
+    batch_size: Count = 12
     augment: bool = False
     freeze_batchnorm: bool = False
     measure_batchnorm: bool = False
-    workers: int = 0
-    seed: int = 0
-    val_fraction: float = 0.1
+    workers: CountOrZero = 0
+    seed: Seed = 0
+    val_fraction: Annotated[float, Range(0, 0.5)] = 0.1
     align_scale: bool | None = None
-    min_keyframes: int = 3
-    max_reprojection_error: float = 3.0
-    keyframe_gap: int = 1
-    frame_gap: int = 1
-    min_common_points: int = 20
+    min_keyframes: Count = 3
+    max_reprojection_error: Positive = 3.0
+    keyframe_gap: Count = 1
+    frame_gap: CountOrZero = 1
+    min_common_points: CountOrZero = 20
     consistency_points: Literal["common", "all"] = "common"
-    min_parallax: float = 0.0
-    memory_mb: int = 1024
+    min_parallax: Annotated[float, Range(0, 90, without=90)] = 0.0
+    memory_mb: CountOrZero = 1024
     channels_last: bool = True
     compile: bool = False
     checkpoint: bool = False
-    checkpoint_minutes: float = 2.0
+    checkpoint_minutes: NotNegative = 2.0
 
     def __post_init__(self) -> None:
         check_types(self, "training")
-        positive = ("learning_rate", "epochs", "batch_size", "min_keyframes", "max_reprojection_error")
-        for name in (*positive, "keyframe_gap"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be positive.")
-        for name in ("frame_gap", "workers", "min_common_points", "memory_mb", "checkpoint_minutes"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"training.{name} is {getattr(self, name)}; it must be 0 or positive.")
-        if not 0 <= self.min_parallax < 90:
-            raise ConfigError(f"training.min_parallax is {self.min_parallax}; it must lie between 0 and 90 degrees.")
-        if not 0 <= self.val_fraction <= 0.5:
-            raise ConfigError(f"training.val_fraction is {self.val_fraction}; it must lie between 0 and 0.5.")
 
     def check_plugins(self) -> None:
         """Make the loss terms and augmentations once, which imports them, so that what cannot work is found early.

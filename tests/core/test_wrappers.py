@@ -128,9 +128,9 @@ def test_wrappers_with_other_options_are_told_apart() -> None:
     ("wrappers", "match"),
     [
         (["flipped"], "no depth wrapper 'flipped'; choose from flip_averaged"),
-        ([{"scaled": {}}], "scaled missing .*factor"),
-        ([{"scaled": {"factor": -1}}], "positive factor"),
-        ([{"clipped": {"far": 3}}], "unexpected keyword argument 'far'"),
+        ([{"scaled": {}}], r"depth\.wrappers\.scaled\.factor has no default"),
+        ([{"scaled": {"factor": -1}}], "positive number"),
+        ([{"clipped": {"far": 3}}], r"no option 'depth\.wrappers\.clipped\.far'"),
         ([{"clipped": {"nearest": 5, "farthest": 2}}], "nothing between"),
         ([{"clipped": 3}], r"\{option: value\}"),
         ([3], "neither a name"),

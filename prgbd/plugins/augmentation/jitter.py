@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from prgbd.core.augmentation import Augmentation
-from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import NotNegative, Share
 from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.functional.colour import jittered
 
@@ -24,10 +24,8 @@ class Jitter(Augmentation):
         ConfigError: If a value cannot work.
     """
 
-    def __init__(self, probability: float = 0.5, strength: float = 1.0) -> None:
+    def __init__(self, probability: Share = 0.5, strength: NotNegative = 1.0) -> None:
         super().__init__(probability)
-        if not 0 <= strength < float("inf"):
-            raise ConfigError(f"augmentation.jitter.strength is {strength}; it must be 0 or positive.")
         self.strength = strength
 
     def augment(self, batch: RefinementBatch, which: Tensor, generator: torch.Generator) -> RefinementBatch:

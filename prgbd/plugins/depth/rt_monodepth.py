@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator, load_matching, read_state_dict
 from prgbd.core.errors import ConfigError, WeightsError
+from prgbd.core.option_ranges import Positive, Seed, Side
 from prgbd.core.types import DepthPrediction
 from prgbd.io.files import atomic_path
 
@@ -123,18 +124,16 @@ class RTMonoDepth(DepthEstimator):
     def __init__(
         self,
         weights: str | Path | None = None,
-        scale: float | None = None,
-        height: int | None = None,
-        width: int | None = None,
-        min_depth: float = 0.1,
-        max_depth: float = 100.0,
-        seed: int = 0,
+        scale: Positive | None = None,
+        height: Side | None = None,
+        width: Side | None = None,
+        min_depth: Positive = 0.1,
+        max_depth: Positive = 100.0,
+        seed: Seed = 0,
     ) -> None:
         super().__init__()
         if not 0 < min_depth < max_depth:
             raise ConfigError(f"depth.min_depth={min_depth:g} must lie between 0 and depth.max_depth={max_depth:g}.")
-        if scale is not None and not scale > 0:
-            raise ConfigError(f"depth.scale={scale:g} must be positive.")
         self.metric = scale is not None
         self.scale = 1.0 if scale is None else float(scale)
         self.depth_range = (self.scale * min_depth, self.scale * max_depth)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from prgbd.core.loss import LossInputs, LossTerm
+from prgbd.core.option_ranges import NotNegative
 from prgbd.functional.sparse_losses import Residual, depth_consistency
 
 
@@ -20,7 +21,7 @@ class DepthConsistency(LossTerm):
         residual: ``absolute`` (the paper) or ``log``, how depths are compared; see ``sparse_losses.difference``.
     """
 
-    def __init__(self, weight: float = 1.0, residual: Residual = "absolute") -> None:
+    def __init__(self, weight: NotNegative = 1.0, residual: Residual = "absolute") -> None:
         super().__init__(weight)
         self.residual = residual
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from prgbd.core.errors import ConfigError
 from prgbd.core.loss import LossInputs, LossTerm
+from prgbd.core.option_ranges import Count, NotNegative
 from prgbd.core.refinement_batch import View
 from prgbd.functional.sparse_losses import Matching, Reduction, Residual, depth_transfer
 from prgbd.functional.warping import invert_rigid
@@ -37,15 +38,15 @@ class DepthTransfer(LossTerm):
 
     def __init__(
         self,
-        weight: float = 1.0,
-        patch: int = 5,
+        weight: NotNegative = 1.0,
+        patch: Count = 5,
         matching: Matching = "projected",
         reduction: Reduction = "mean",
         residual: Residual = "absolute",
         anchored: bool = False,
     ) -> None:
         super().__init__(weight)
-        if patch < 1 or patch % 2 == 0:
+        if patch % 2 == 0:
             raise ConfigError(f"loss.depth_transfer.patch is {patch}; the side of a patch must be an odd number.")
         self.patch, self.matching, self.reduction = patch, matching, reduction
         self.residual, self.anchored = residual, anchored

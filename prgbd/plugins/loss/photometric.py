@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from prgbd.core.loss import LossInputs, LossTerm
+from prgbd.core.option_ranges import NotNegative
 from prgbd.core.refinement_batch import View
 from prgbd.functional.losses import photometric_loss
 
@@ -17,7 +18,7 @@ class Photometric(LossTerm):
         automask: Leave out what looks the same without motion.
     """
 
-    def __init__(self, weight: float = 1.0, automask: bool = True) -> None:
+    def __init__(self, weight: NotNegative = 1.0, automask: bool = True) -> None:
         super().__init__(weight)
         self.automask = automask
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from prgbd.core.loss import LossInputs, LossTerm
+from prgbd.core.option_ranges import NotNegative
 from prgbd.functional.losses import smoothness_loss
 
 
@@ -15,7 +16,7 @@ class Smoothness(LossTerm):
         weight: Beta of the method.
     """
 
-    def __init__(self, weight: float = 0.001) -> None:
+    def __init__(self, weight: NotNegative = 0.001) -> None:
         super().__init__(weight)
 
     def forward(self, inputs: LossInputs) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError, ContractError, WeightsError
+from prgbd.core.option_ranges import Count
 from prgbd.core.registry import REGISTRY
 from prgbd.core.slam import GeometricSLAM, TrackingResult, TrackingState
 from prgbd.core.types import (
@@ -44,9 +45,7 @@ class PoseNetworkOdometry(GeometricSLAM):
 
     modes: ClassVar[frozenset[str]] = frozenset({"mono"})
 
-    def __init__(self, depth: str = "monodepth2", weights: str | Path | None = None, keyframe_every: int = 1) -> None:
-        if isinstance(keyframe_every, bool) or not isinstance(keyframe_every, int) or keyframe_every < 1:
-            raise ConfigError(f"slam.keyframe_every={keyframe_every} must be a whole number, 1 or more.")
+    def __init__(self, depth: str = "monodepth2", weights: str | Path | None = None, keyframe_every: Count = 1) -> None:
         if weights is None:
             raise ConfigError(
                 "slam=posenet needs a trained pose network; set slam.weights to the folder of its weights, such as "

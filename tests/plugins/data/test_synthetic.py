@@ -220,4 +220,4 @@ def test_an_unknown_world_is_refused(name: str) -> None:
 )
 def test_impossible_options_are_refused(option: str, value: object) -> None:
     with pytest.raises(ConfigError):
-        SyntheticSequence(**{option: value})
+        make_data("synthetic", **{option: value})

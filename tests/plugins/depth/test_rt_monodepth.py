@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from prgbd import make_depth
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.core.testing.conformance import check_depth_estimator
 from prgbd.plugins.depth.rt_monodepth import RTMonoDepth
@@ -84,7 +85,7 @@ def test_weights_of_another_network_are_refused(tmp_path):
 @pytest.mark.parametrize("options", [{"scale": 0.0}, {"scale": -1.0}, {"height": 100}, {"max_depth": 0.01}])
 def test_wrong_options_are_one_sentence(options):
     with pytest.raises(ConfigError, match=r"depth\."):
-        RTMonoDepth(**options)
+        make_depth("rt_monodepth", **options)
 
 
 def test_within_finest_scale_the_finest_depth_is_the_same_and_alone():

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("pycolmap", reason="slam=colmap comes with the extra 'colmap'")
 
 import prgbd
+from prgbd import make_slam
 from prgbd.core.errors import ConfigError, SlamError
 from prgbd.core.types import Frame, PinholeCamera
 from prgbd.evaluation.trajectory import evaluate_trajectory
@@ -134,7 +135,7 @@ def test_nothing_registered_is_one_sentence():
 @pytest.mark.parametrize("options", [{"every": 0}, {"intrinsics": "guess"}, {"threads": 1.5}])
 def test_options_that_cannot_work_are_refused(options):
     with pytest.raises(ConfigError, match=f"slam.{next(iter(options))}"):
-        ColmapSLAM(**options)
+        make_slam("colmap", **options)
 
 
 def test_poses_between_neighbours_follow_time_and_wide_gaps_stay_open():

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.option_ranges import Count, CountOrZero, NotNegative, Positive, Seed, Side
 from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data.synthetic.indoor import build_room
 from prgbd.plugins.data.synthetic.render import draw_balls, draw_quads, plane_coefficients
@@ -59,23 +60,23 @@ class SyntheticSequence(Sequence):
         self,
         sequence: str | None = None,
         scene: str = "street",
-        seed: int = 0,
-        frames: int = 150,
-        width: int = 384,
-        height: int = 256,
-        fps: float = 10.0,
+        seed: Seed = 0,
+        frames: Count = 150,
+        width: Side = 384,
+        height: Side = 256,
+        fps: Positive = 10.0,
         fov: float | None = None,
-        moving_objects: int = 0,
+        moving_objects: CountOrZero = 0,
         path: str = "loop",
         sensor_depth: bool = False,
-        depth_noise: float = 0.0,
-        baseline: float | None = None,
-        noise: float = 1.5,
-        exposure: float = 0.01,
+        depth_noise: NotNegative = 0.0,
+        baseline: Positive | None = None,
+        noise: NotNegative = 1.5,
+        exposure: NotNegative = 0.01,
     ) -> None:
         if sequence is not None:
             scene, seed = _parse(sequence)
-        _check(scene, seed, frames, fps, moving_objects, path, baseline, depth_noise, noise, exposure)
+        _check(scene, path)
         self.name = f"{scene}-{seed}"
         self.scene, self.seed = scene, int(seed)
         self.camera = PinholeCamera.from_fov(width, height, FIELD_OF_VIEW[scene] if fov is None else fov)
@@ -197,33 +198,8 @@ def _parse(sequence: str) -> tuple[str, int]:
     return found[1], int(found[2])
 
 
-def _check(
-    scene: str,
-    seed: int,
-    frames: int,
-    fps: float,
-    moving_objects: int,
-    path: str,
-    baseline: float | None,
-    depth_noise: float,
-    noise: float,
-    exposure: float,
-) -> None:
+def _check(scene: str, path: str) -> None:
     if scene not in SCENES:
         raise ConfigError(f"There is no synthetic scene '{scene}'; the option scene is one of {', '.join(SCENES)}.")
     if path not in PATHS:
         raise ConfigError(f"There is no synthetic path '{path}'; the option path must be one of {', '.join(PATHS)}.")
-    for name, value, least in (
-        ("seed", seed, 0),
-        ("frames", frames, 1),
-        ("moving_objects", moving_objects, 0),
-        ("depth_noise", depth_noise, 0),
-        ("noise", noise, 0),
-        ("exposure", exposure, 0),
-    ):
-        if not value >= least:
-            raise ConfigError(f"The option {name} of a synthetic sequence must be at least {least}, got {value}.")
-    if not (np.isfinite(fps) and fps > 0):
-        raise ConfigError(f"The option fps of a synthetic sequence must be positive, got {fps}.")
-    if baseline is not None and not (np.isfinite(baseline) and baseline > 0):
-        raise ConfigError(f"The option baseline of a synthetic sequence must be positive or null, got {baseline}.")

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from prgbd.core.depth import DepthEstimator, load_matching
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import Positive, Side
 from prgbd.core.types import DepthPrediction
 from prgbd.core.validation import check_image
 from prgbd.io.files import atomic_path
@@ -61,11 +62,11 @@ class HuggingFaceDepth(DepthEstimator):
         model: str | Path | None = None,
         weights: str | Path | None = None,
         output: str = "auto",
-        height: int | None = None,
-        width: int | None = None,
-        min_depth: float = 0.1,
-        max_depth: float | None = None,
-        disparity_scale: float | None = None,
+        height: Side | None = None,
+        width: Side | None = None,
+        min_depth: Positive = 0.1,
+        max_depth: Positive | None = None,
+        disparity_scale: Positive | None = None,
     ) -> None:
         super().__init__()
         source = model if model is not None else weights
@@ -85,8 +86,6 @@ class HuggingFaceDepth(DepthEstimator):
         if not 0 < min_depth < farthest:
             raise ConfigError(f"depth.min_depth={min_depth:g} must lie between 0 and depth.max_depth={farthest:g}.")
         self.depth_range = (float(min_depth), farthest)
-        if disparity_scale is not None and not disparity_scale > 0:
-            raise ConfigError(f"depth.disparity_scale={disparity_scale:g} must be positive.")
         self.register_buffer("disparity_scale", torch.tensor(self._scale(disparity_scale, Path(str(source)))))
         if weights is not None and source is not weights:
             self.load_weights(Path(weights))

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator, read_state_dict
 from prgbd.core.errors import ConfigError, WeightsError
+from prgbd.core.option_ranges import Positive, Seed, Side
 from prgbd.core.types import DepthPrediction
 from prgbd.plugins.depth.monodepth2 import weights as files
 from prgbd.plugins.depth.monodepth2.decoder import SCALES, DepthDecoder, disparity_to_depth
@@ -40,12 +41,12 @@ class Monodepth2(DepthEstimator):
     def __init__(
         self,
         weights: str | Path | None = None,
-        height: int | None = None,
-        width: int | None = None,
-        min_depth: float = 0.1,
-        max_depth: float = 100.0,
+        height: Side | None = None,
+        width: Side | None = None,
+        min_depth: Positive = 0.1,
+        max_depth: Positive = 100.0,
         imagenet_weights: str | Path | None = None,
-        seed: int = 0,
+        seed: Seed = 0,
     ) -> None:
         super().__init__()
         if not 0 < min_depth < max_depth:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 import tempfile
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError, SlamError
+from prgbd.core.option_ranges import Count, NotNegative, Range
 from prgbd.core.slam import GeometricSLAM, Listener, TrackingResult, TrackingState
 from prgbd.core.types import Frame, Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
 from prgbd.plugins.slam.colmap.completion import depth_scale, from_first_camera, interpolate, scaled
@@ -53,19 +54,16 @@ class ColmapSLAM(GeometricSLAM):
 
     def __init__(
         self,
-        every: int = 5,
+        every: Count = 5,
         intrinsics: str = "given",
-        features: int = 4096,
-        overlap: int = 10,
-        init_max_forward_motion: float = 1.0,
-        init_min_tri_angle: float = 4.0,
-        min_model_size: int = 3,
-        threads: int = 2,
+        features: Count = 4096,
+        overlap: Count = 10,
+        init_max_forward_motion: NotNegative = 1.0,
+        init_min_tri_angle: NotNegative = 4.0,
+        min_model_size: Count = 3,
+        threads: Annotated[int, Range(1, 1024)] = 2,
         folder: str | Path | None = None,
     ) -> None:
-        for name, value in (("every", every), ("features", features), ("overlap", overlap), ("threads", threads)):
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ConfigError(f"slam.{name}={value} must be a whole number, 1 or more.")
         if intrinsics not in INTRINSICS:
             raise ConfigError(f"slam.intrinsics={intrinsics} is unknown; choose {', '.join(INTRINSICS)}.")
         self.every, self.folder = every, folder

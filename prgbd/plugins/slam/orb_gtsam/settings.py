@@ -6,19 +6,21 @@ line can list the options without loading the system.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_ranges import CountOrZero, NotNegative, Range, Share
 from prgbd.core.options import check_types, from_mapping
 from prgbd.plugins.slam.orb_gtsam.former_options import refuse_former_options
 
 Auto = Literal["auto"]
+# More keypoints than this would take gigabytes for the columns of the map.
+KeypointCount = Annotated[int, Range(1, 100_000)]
 Solver = Literal["numba", "gtsam"]
 AUTO: Final = "auto"
 # ORB-SLAM2 looks for 1000 features in 640x480 images (TUM1.yaml) and for 2000 in KITTI's wide ones (KITTI00-02.yaml).
@@ -39,17 +41,19 @@ class FeatureOptions:
         fast_threshold_low: FAST threshold where the first finds nothing.
     """
 
-    count: int | Auto = AUTO
-    scale_factor: float = 1.2
-    levels: int = 8
-    fast_threshold: int = 20
-    fast_threshold_low: int = 7
+    count: KeypointCount | Auto = AUTO
+    scale_factor: Annotated[float, Range(1, 10, without=1)] = 1.2
+    levels: Annotated[int, Range(1, 16)] = 8
+    fast_threshold: Annotated[int, Range(1, 254)] = 20
+    fast_threshold_low: Annotated[int, Range(1, 254)] = 7
 
     def __post_init__(self) -> None:
-        thresholds = {"fast_threshold": (1, 254), "fast_threshold_low": (1, self.fast_threshold)}
-        _check("features", self, count=(1, math.inf), levels=(1, 16), **thresholds)
-        if not 1 < self.scale_factor < math.inf:
-            raise ConfigError(f"slam.features.scale_factor is {self.scale_factor}; it must exceed 1.")
+        check_types(self, "slam.features")
+        if self.fast_threshold_low > self.fast_threshold:
+            raise ConfigError(
+                f"slam.features.fast_threshold_low is {self.fast_threshold_low}; it must be at most "
+                f"slam.features.fast_threshold={self.fast_threshold}."
+            )
 
     def count_in(self, width: int, height: int) -> int:
         """Return the number of keypoints to look for in images of ``width`` x ``height`` pixels."""
@@ -79,15 +83,15 @@ class TrackingOptions:
             would be had it gone on as before; else where it was last seen.
     """
 
-    local_keyframes: int = 80
-    min_inliers_recovered: int = 50
-    recovery_keyframes: int = 12
-    restart_after: int = 10
-    restart_keyframes: int = 5
-    restart_extrapolate: int = 60
+    local_keyframes: CountOrZero = 80
+    min_inliers_recovered: CountOrZero = 50
+    recovery_keyframes: CountOrZero = 12
+    restart_after: CountOrZero = 10
+    restart_keyframes: CountOrZero = 5
+    restart_extrapolate: CountOrZero = 60
 
     def __post_init__(self) -> None:
-        _check("tracking", self, **dict.fromkeys(self.__dataclass_fields__, (0, math.inf)))
+        check_types(self, "slam.tracking")
 
 
 @dataclass(frozen=True)
@@ -110,18 +114,17 @@ class KeyframeOptions:
             that the reference keyframe holds; 0 as ORB-SLAM2.
     """
 
-    ratio: float = 0.75
-    ratio_first: float = 0.4
-    ratio_mono: float = 0.9
-    thin_mono: float = 0.15
-    close_tracked: int = 100
-    min_interval: int = 0
+    ratio: NotNegative = 0.75
+    ratio_first: NotNegative = 0.4
+    ratio_mono: NotNegative = 0.9
+    thin_mono: NotNegative = 0.15
+    close_tracked: CountOrZero = 100
+    min_interval: CountOrZero = 0
     outliers: bool | Auto = AUTO
-    held: float = 0.25
+    held: Share = 0.25
 
     def __post_init__(self) -> None:
-        names = ("ratio", "ratio_first", "ratio_mono", "thin_mono", "close_tracked", "min_interval")
-        _check("keyframes", self, **dict.fromkeys(names, (0, math.inf)), held=(0, 1))
+        check_types(self, "slam.keyframes")
 
     def take_outliers(self, mode: str) -> bool:
         """Say whether keyframes take refuted matches along in a mode of the system."""
@@ -139,12 +142,12 @@ class MappingOptions:
             as well.
     """
 
-    neighbours: int | Auto = AUTO
-    redundancy: float = 0.9
-    queue: int = 0
+    neighbours: CountOrZero | Auto = AUTO
+    redundancy: NotNegative = 0.9
+    queue: CountOrZero = 0
 
     def __post_init__(self) -> None:
-        _check("mapping", self, **dict.fromkeys(self.__dataclass_fields__, (0, math.inf)))
+        check_types(self, "slam.mapping")
 
     def neighbours_in(self, *, mono: bool) -> int:
         """Return the number of covisible keyframes to work with."""
@@ -168,11 +171,11 @@ class LoopClosingOptions:
 
     enabled: bool = True
     scale: Literal["auto", "free", "fixed"] = AUTO
-    min_interval: int = 10
+    min_interval: CountOrZero = 10
     bundle_adjustment: bool = True
 
     def __post_init__(self) -> None:
-        _check("loop_closing", self, min_interval=(0, math.inf))
+        check_types(self, "slam.loop_closing")
 
 
 @dataclass(frozen=True)
@@ -195,18 +198,17 @@ class DepthOptions:
             any.
     """
 
-    close: float = 40.0
-    trust: float = 0.0
+    close: NotNegative = 40.0
+    trust: NotNegative = 0.0
     gate: bool = True
-    sigma: float | Auto = AUTO
-    sigma_far: float = 0.0
-    shared: float | Auto = AUTO
+    sigma: NotNegative | Auto = AUTO
+    sigma_far: NotNegative = 0.0
+    shared: Annotated[float, Range(1)] | Auto = AUTO
     fallback: bool | Auto = AUTO
-    border: float = 0.0
+    border: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        names = ("close", "trust", "sigma", "sigma_far", "border")
-        _check("depth", self, **dict.fromkeys(names, (0, math.inf)), shared=(1, math.inf))
+        check_types(self, "slam.depth")
 
 
 @dataclass(frozen=True)
@@ -228,14 +230,13 @@ class OptimisationOptions:
 
     solver: Solver = "numba"
     local_ba: bool = True
-    local_ba_keyframes: int = 20
+    local_ba_keyframes: CountOrZero = 20
     full_ba: bool = True
-    full_ba_keyframes: int = 300
-    focal_length_sigma: float = 0.01
+    full_ba_keyframes: CountOrZero = 300
+    focal_length_sigma: NotNegative = 0.01
 
     def __post_init__(self) -> None:
-        names = ("local_ba_keyframes", "full_ba_keyframes", "focal_length_sigma")
-        _check("optimisation", self, **dict.fromkeys(names, (0, math.inf)))
+        check_types(self, "slam.optimisation")
 
 
 @dataclass(frozen=True)
@@ -280,14 +281,3 @@ class Settings:
             return settings
         optimisation = vars(settings.optimisation) | {"solver": solver}
         return replace(settings, optimisation=from_mapping(OptimisationOptions, optimisation, "slam.optimisation"))
-
-
-def _check(group: str, options: object, **ranges: tuple[float, float]) -> None:
-    """Refuse values of another type, and numbers out of their range; "auto" passes."""
-    check_types(options, f"slam.{group}")
-    for name, (least, most) in ranges.items():
-        value = getattr(options, name)
-        if value == AUTO or (math.isfinite(value) and least <= value <= most):
-            continue
-        wanted = f"at least {least}" if math.isinf(most) else f"from {least} to {most}"
-        raise ConfigError(f"slam.{group}.{name} is {value!r}; it must be {wanted}.")
