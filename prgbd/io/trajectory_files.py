@@ -5,6 +5,7 @@ evo is imported where it is used, so this module is cheap to import.
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,9 +15,19 @@ from numpy.typing import NDArray
 from prgbd.core.errors import DataError
 from prgbd.core.types import Trajectory
 from prgbd.io.files import atomic_path
+from prgbd.io.reading import read_text
+from prgbd.io.text_tables import read_table
+from prgbd.io.time_base import REACH, common_clock
 
 if TYPE_CHECKING:
     from evo.core.trajectory import PoseTrajectory3D
+
+log = logging.getLogger("prgbd")
+
+QUATERNION_ERROR = 0.05  # of its length, as files round
+MATRIX_ERROR = 0.05  # of the length of a rotation's axes
+FARTHEST = 1e9  # metres from the origin; the farthest coordinates on Earth's maps are below 1e7
+FEWEST_DISTINCT_TIMES = 2  # poses of one time, on average, that mean rounded times
 
 
 def to_evo(trajectory: Trajectory) -> PoseTrajectory3D:
@@ -43,35 +54,85 @@ def write_tum(trajectory: Trajectory, path: Path | str) -> None:
 
 
 def read_tum(
-    path: Path | str, timestamps: NDArray[np.float64] | None = None, max_difference: float = 0.02
+    path: Path | str, timestamps: NDArray[np.float64] | None = None, max_difference: float = REACH
 ) -> Trajectory:
     """Read a TUM trajectory file.
 
     Args:
         path: The file; lines that start with ``#`` are skipped, the first of several poses of one time is kept, and
             poses are sorted by time.
-        timestamps: (F,) seconds of the frames that the poses belong to, ascending. Each frame then takes the nearest
-            pose in time, and ``frame_index`` and ``timestamp`` are the frame's. Without it poses are numbered in order.
+        timestamps: (F,) seconds of the frames that the poses belong to, ascending; see ``at_frames``. Without it poses
+            are numbered in order.
         max_difference: Largest difference in seconds for which a pose belongs to a frame.
 
     Raises:
-        DataError: If the file is missing or malformed.
+        DataError: If the file is missing or malformed, or its times and those of the frames do not meet.
+    """
+    rows = read_table(path, 8, "time stamp, position and quaternion", finite=True)
+    if len(rows) == 0:
+        if not read_text(path, "trajectory").strip():
+            raise DataError(f"{path} is empty; a trajectory has lines of 8 numbers.")
+        return Trajectory.empty()
+    given = len(rows)
+    rows = rows[np.unique(rows[:, 0], return_index=True)[1]]  # motion-capture files repeat some time stamps
+    if given > FEWEST_DISTINCT_TIMES * len(rows) > 0 and given > 3:
+        raise DataError(
+            f"{path} has {given} poses of {len(rows)} different times; write the times with all of their "
+            "digits, not as 1.305031e+09."
+        )
+    trajectory = Trajectory(np.arange(len(rows)), rows[:, 0], as_poses(rows, path))
+    if timestamps is None:
+        return trajectory
+    found, note = at_frames(trajectory, timestamps, f"the trajectory {path}", max_difference)
+    if note:
+        log.warning("%s", note)
+    return found
+
+
+def as_poses(rows: NDArray[np.float64], path: Path | str) -> NDArray[np.float64]:
+    """Return (N, 4, 4) poses of (N, 8) rows ``time tx ty tz qx qy qz qw``.
+
+    Raises:
+        DataError: If a quaternion is not of length 1, or a position absurdly far away.
     """
     from scipy.spatial.transform import Rotation
 
-    rows = _read_numbers(Path(path), 8)
-    if len(rows) == 0:
-        return Trajectory.empty()
-    rows = rows[np.unique(rows[:, 0], return_index=True)[1]]  # motion-capture files repeat some time stamps
-    if np.any(np.linalg.norm(rows[:, 4:], axis=1) < 1e-6):
-        raise DataError(f"{path} has a quaternion of length zero; columns 5-8 must be qx qy qz qw.")
+    length = np.linalg.norm(rows[:, 4:], axis=1)
+    odd = np.flatnonzero(~(np.abs(length - 1) < QUATERNION_ERROR))
+    if len(odd):
+        raise DataError(
+            f"{path} has a quaternion of length {length[odd[0]]:.3g} at time {rows[odd[0], 0]:.15g}, which must be 1; "
+            "columns 5-8 must be qx qy qz qw."
+        )
     wTc = np.tile(np.eye(4), (len(rows), 1, 1))
     wTc[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
     wTc[:, :3, 3] = rows[:, 1:4]
-    if timestamps is None:
-        return Trajectory(np.arange(len(rows)), rows[:, 0], wTc)
-    frames, poses = match_times(np.asarray(timestamps, np.float64), rows[:, 0], max_difference)
-    return Trajectory(frames, np.asarray(timestamps, np.float64)[frames], wTc[poses])
+    _check_near(wTc, path)
+    return wTc
+
+
+def at_frames(
+    trajectory: Trajectory, timestamps: NDArray[np.float64], what: str, max_difference: float = REACH
+) -> tuple[Trajectory, str]:
+    """Give each frame of a recording the pose that is nearest in time.
+
+    Args:
+        trajectory: Poses with times of their own.
+        timestamps: (F,) seconds of the frames, ascending.
+        what: What the trajectory is, for messages.
+        max_difference: Largest difference in seconds for which a pose belongs to a frame.
+
+    Returns:
+        The poses with ``frame_index`` and ``timestamp`` of their frames, and a sentence about the clock that the times
+        were taken to be of, "" where it is the frames' own.
+
+    Raises:
+        DataError: If the times do not meet and nothing explains it.
+    """
+    timestamps = np.asarray(timestamps, np.float64)
+    clock = common_clock(trajectory.timestamp, timestamps, what)
+    frames, poses = match_times(timestamps, clock.seconds(trajectory.timestamp), max_difference)
+    return Trajectory(frames, timestamps[frames], trajectory.wTc[poses]), clock.note
 
 
 def match_times(
@@ -144,34 +205,26 @@ def read_kitti(path: Path | str, timestamps: NDArray[np.float64] | None = None) 
     Raises:
         DataError: If the file is missing or malformed, or has another number of lines than ``timestamps``.
     """
-    rows = _read_numbers(Path(path), 12)
+    rows = read_table(path, 12, "pose of one frame", finite=True)
+    if len(rows) == 0:
+        raise DataError(f"{path} has no poses; a pose file has lines of 12 numbers.")
     if timestamps is not None and len(timestamps) != len(rows):
         raise DataError(
-            f"{path} has {len(rows)} poses for {len(timestamps)} time stamps; use the files of one sequence."
+            f"{path} has {len(rows)} poses for {len(timestamps)} time stamps; use the files of one sequence, and of "
+            "the same frames."
         )
     wTc = np.tile(np.eye(4), (len(rows), 1, 1))
     wTc[:, :3] = rows.reshape(-1, 3, 4)
+    _check_near(wTc, path)
+    size = np.linalg.svd(wTc[:, :3, :3], compute_uv=False)
+    odd = np.flatnonzero((np.abs(size - 1) > MATRIX_ERROR).any(axis=1) | (np.linalg.det(wTc[:, :3, :3]) < 0))
+    if len(odd):
+        raise DataError(f"Pose {odd[0]} of {path} is no rigid transform; columns 1-3, 5-7 and 9-11 must be a rotation.")
     stamps = np.arange(len(rows), dtype=np.float64) if timestamps is None else np.asarray(timestamps, np.float64)
     return Trajectory(np.arange(len(rows)), stamps, wTc)
 
 
-def _read_numbers(path: Path, columns: int) -> NDArray[np.float64]:
-    """Read a text file of ``columns`` finite numbers per line, (N, columns); ``#`` starts a comment line."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"Cannot read the poses {path} ({error}); check that the path is right.") from error
-    rows = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            row = [float(word) for word in line.split()]
-        except ValueError:
-            row = []
-        if len(row) != columns or not np.isfinite(row).all():
-            raise DataError(f"{path}, line {number}, is not {columns} finite numbers; check that the file is complete.")
-        rows.append(row)
-    if not text.strip():
-        raise DataError(f"{path} is empty; a pose file has lines of {columns} numbers.")
-    return np.array(rows, np.float64).reshape(-1, columns)
+def _check_near(wTc: NDArray[np.float64], path: Path | str) -> None:
+    far = np.flatnonzero((np.abs(wTc[:, :3, 3]) > FARTHEST).any(axis=1))
+    if len(far):
+        raise DataError(f"Pose {far[0]} of {path} lies more than {FARTHEST:g} m away; positions must be in metres.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,13 @@ from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Trajectory
-from prgbd.evaluation.trajectory import evaluate_trajectory
-from prgbd.io.trajectory_files import read_kitti, read_tum
+from prgbd.evaluation.trajectory import FEWEST_POSES, evaluate_trajectory
+from prgbd.io.text_tables import text_lines
+from prgbd.io.time_base import REACH, no_meeting
+from prgbd.io.trajectory_files import at_frames, read_kitti, read_tum
 from prgbd.loop.summary import write_summary, write_truth
+
+log = logging.getLogger("prgbd")
 
 
 def run(job: Job) -> None:
@@ -44,22 +49,44 @@ def _evaluate_trajectory(job: Job, sequences: list[Sequence]) -> dict[str, Any]:
     if len(sequences) != 1:
         names = ", ".join(sequence.name for sequence in sequences)
         raise ConfigError(f"task.trajectory belongs to one recording, not to {names}; name it in data.sequences=[...].")
-    sequence = sequences[0]
-    trajectory = read_trajectory(path, sequence)
-    alignment = job.options.evaluation.alignment
-    figures = evaluate_trajectory(trajectory, len(sequence), sequence.poses, sequence.timestamps, alignment=alignment)
-    return {sequence.name: {**figures, "keyframes": None, "points": None, "fps": None, "lost_frames": None}}
+    return {sequences[0].name: trajectory_figures(path, sequences[0], job.options.evaluation.alignment)}
 
 
-def read_trajectory(path: Path, sequence: Sequence) -> Trajectory:
-    """Read a trajectory of a recording in TUM format (8 numbers a line) or KITTI format (12, one line per frame).
+def trajectory_figures(path: Path, sequence: Sequence, alignment: str) -> dict[str, Any]:
+    """Return the figures of a trajectory file against the truth of a recording.
 
     Raises:
-        DataError: If the file is missing or of neither format.
+        DataError: If there is no truth, or too few of the poses belong to an image with a true pose.
     """
-    if not path.is_file():
-        raise DataError(f"There is no trajectory file {path}; check task.trajectory.")
-    first = next((line for line in path.read_text(errors="replace").splitlines() if line[:1] not in ("#", "")), "")
-    if len(first.split()) == 12:
-        return read_kitti(path, sequence.timestamps)
-    return read_tum(path, sequence.timestamps)
+    if sequence.poses is None:
+        raise DataError(
+            f"The recording '{sequence.name}' has no true poses to compare {path} with; drop task.trajectory."
+        )
+    trajectory, doubts = read_trajectory(path, sequence)
+    figures = evaluate_trajectory(trajectory, len(sequence), sequence.poses, sequence.timestamps, alignment=alignment)
+    if figures["pairs"] == 0:
+        raise DataError(f"{path} cannot be compared with the recording '{sequence.name}'. {figures['reason']}")
+    return {**figures, "keyframes": None, "points": None, "fps": None, "lost_frames": None, "doubts": doubts}
+
+
+def read_trajectory(path: Path, sequence: Sequence) -> tuple[Trajectory, list[str]]:
+    """Read a trajectory of a recording in TUM format (8 numbers a line) or KITTI format (12, one line per frame).
+
+    Returns:
+        The trajectory, and what had to be assumed about its times.
+
+    Raises:
+        DataError: If the file is missing, of neither format, or its times are not the recording's.
+    """
+    lines = text_lines(path, "task.trajectory")
+    columns = len(lines[0][1]) if lines else 8
+    if columns == 12:
+        return read_kitti(path, sequence.timestamps), []
+    trajectory = read_tum(path)
+    found, note = at_frames(trajectory, sequence.timestamps, f"the trajectory {path}")
+    if note:
+        log.warning("%s", note)
+    elif len(found) < min(FEWEST_POSES, len(trajectory)):
+        near = f"Only {len(found)} of the {len(trajectory)} poses lie within {REACH:g} s of an image"
+        raise DataError(f"{near}. {no_meeting(trajectory.timestamp, sequence.timestamps, f'the trajectory {path}')}")
+    return found, [note] if note else []

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import DataError
-from prgbd.plugins.data._recording import text_lines
+from prgbd.io.text_tables import text_lines
 
 EARTH_RADIUS = 6378137.0  # metres, at the equator
 OXTS_VALUES = 30  # a line of OXTS holds latitude, longitude, altitude, roll, pitch, yaw, ... in this number

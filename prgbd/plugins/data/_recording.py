@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,40 +185,6 @@ def choose(sequence: str | None, names: Iterable[str], root: Path) -> str:
     if sequence not in known:
         raise DataError(f"There is no sequence '{sequence}' in {root}; there are {listed}.")
     return sequence
-
-
-def read_table(path: Path, columns: int, what: str) -> NDArray[np.float64]:
-    """Read lines of numbers, (N, columns); empty lines and lines that begin with ``#`` do not count.
-
-    Raises:
-        DataError: If the file is absent or a line has another number of values; the message names the line.
-    """
-    rows: list[Any] = []
-    for number, words in text_lines(path, what):
-        try:
-            values = [float(word) for word in words]
-        except ValueError:
-            values = []
-        if len(values) != columns:
-            raise DataError(f"Line {number} of {path} is not {columns} numbers ({what}); check the file.")
-        rows.append(values)
-    return np.array(rows, np.float64).reshape(-1, columns)
-
-
-def text_lines(path: Path, what: str) -> list[tuple[int, list[str]]]:
-    """Return the number and the words of each line that is neither empty nor a comment.
-
-    Raises:
-        DataError: If the file is absent or no text.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise DataError(f"There is no file {path} ({what}); the recording is not complete.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path} ({what}) cannot be read as text; copy it anew.") from error
-    words = ((number, line.replace(",", " ").split()) for number, line in enumerate(text.splitlines(), 1))
-    return [(number, w) for number, w in words if w and not w[0].startswith("#")]
 
 
 def as_poses(rows: NDArray[np.float64], source: Path) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
+from prgbd.io.text_tables import read_table, text_lines
 from prgbd.plugins.data._camera import plausible
 from prgbd.plugins.data._images import list_images, read_image
 from prgbd.plugins.data._recording import (
@@ -18,8 +19,6 @@ from prgbd.plugins.data._recording import (
     choose,
     existing_root,
     or_unpack,
-    read_table,
-    text_lines,
 )
 
 CAMERAS = {"color": (2, 3), "gray": (0, 1)}

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
+from prgbd.io.text_tables import text_lines
 from prgbd.plugins.data._camera import plausible
 from prgbd.plugins.data._images import list_images, read_image
 from prgbd.plugins.data._kitti_calibration import camera_poses, read_day, read_scan, velodyne_depth
-from prgbd.plugins.data._recording import Files, FileSequence, check_index, choose, existing_root, or_unpack, text_lines
+from prgbd.plugins.data._recording import Files, FileSequence, check_index, choose, existing_root, or_unpack
 
 CAMERAS = {"color": {"left": (2, 3), "right": (3, 3)}, "gray": {"left": (0, 1), "right": (1, 1)}}
 SIDES = ("left", "right")

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
+from prgbd.io.text_tables import text_lines
 from prgbd.plugins.data._camera import plausible
 from prgbd.plugins.data._images import read_image, safe_name
-from prgbd.plugins.data._recording import Files, FileSequence, as_poses, choose, existing_root, or_unpack, text_lines
+from prgbd.plugins.data._recording import Files, FileSequence, as_poses, choose, existing_root, or_unpack
 
 
 class SevenScenesSequence(FileSequence):
