@@ -21,11 +21,13 @@ class Sequence(ABC):
     recording) besides its own options.
 
     Attributes:
-        name: Short and safe as a file name (letters, digits, ``-``, ``_``, ``.``); unique within the data set.
+        name: Short and safe as a file name (letters and digits of any script, ``-``, ``_``, ``.``); unique within the
+            data set.
         camera: The camera of the images that ``frame`` returns.
         timestamps: (N,) float64 seconds, strictly ascending.
         baseline: Metres between left and right camera for stereo recordings, else None.
         concurrent: True if ``frame`` may be called by several threads at once, as where every frame is a file.
+        remarks: What was understood of the recording where its files do not say it, in clauses that users are shown.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Sequence(ABC):
     timestamps: NDArray[np.float64]
     baseline: float | None = None
     concurrent: bool = False
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def available(cls, **options: Any) -> list[str | None]:

@@ -79,6 +79,7 @@ def preflight(sequence: Sequence) -> Preflight:
     fov = float(np.degrees(2 * np.arctan(camera.width / (2 * camera.fx))))
     motion = float(np.median(look.flows)) * camera.width / WIDTH if look.flows else None
     facts = [f"{len(sequence)} frames at {sequence.fps:.1f} Hz", f"field of view {fov:.0f} degrees"]
+    facts += sequence.remarks
     if motion is not None:
         facts.append(f"motion {motion:.1f} pixels a frame")
     if look.levels:

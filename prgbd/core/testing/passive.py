@@ -231,7 +231,7 @@ class CheckedSequence(Sequence):
         require(np.isfinite(stamps).all() and np.all(np.diff(stamps) > 0), who, "has time stamps that do not ascend.")
         require(isinstance(getattr(sequence, "camera", None), PinholeCamera), who, "declares no camera.")
         self.name, self.camera, self.timestamps = sequence.name, sequence.camera, stamps
-        self.baseline, self.concurrent = sequence.baseline, sequence.concurrent
+        self.baseline, self.concurrent, self.remarks = sequence.baseline, sequence.concurrent, sequence.remarks
 
     def __getattr__(self, name: str) -> Any:
         if name == "unwrapped":

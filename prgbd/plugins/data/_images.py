@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import re
+import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -10,23 +11,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import DataError
+from prgbd.io.reading import require_file, visible
+from prgbd.plugins.data._completeness import whole
+from prgbd.plugins.data._levels import ALL_LEVELS, Levels, levels_of
+from prgbd.plugins.data._order import natural_key
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+LOOKED_AT = 8  # images of a recording of more than 8 bits, for its range of values
 
 
-def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+def read_image(path: Path, size: tuple[int, int] | None = None, levels: Levels = ALL_LEVELS) -> NDArray[np.uint8]:
     """Read an image as (H, W, 3) uint8 RGB; grey images get three equal channels.
+
+    What cameras note in a JPEG of how they were held (EXIF) turns the image, transparency is left out, and of
+    several pictures in one file the first is taken.
 
     Args:
         path: The file.
         size: (width, height) that the image must have, pixels; None takes any.
+        levels: How values of more than 8 bits become 8.
 
     Raises:
         DataError: If the file is absent, truncated, no image, or of another size.
     """
-    image = _decode(path, cv2.IMREAD_COLOR)
+    image = levels.to_8_bits(_colour(path))
     _check_size(path, image, size)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def common_levels(images: Sequence[Path]) -> tuple[Levels, str]:
+    """Return how the values of a recording's images become 8 bits, and what was understood of them, in words.
+
+    Nothing but the first image is read where it has 8 bits. Images that cannot be read are left to the run.
+
+    Args:
+        images: All images of the recording.
+    """
+    values: list[NDArray] = []
+    for index in np.unique(np.linspace(0, len(images) - 1, LOOKED_AT).astype(int)):
+        with contextlib.suppress(DataError):
+            values.append(_colour(images[index]))
+        if values and values[0].dtype == np.uint8:
+            break
+    return levels_of(values)
 
 
 def read_depth(path: Path, unit: float, size: tuple[int, int], invalid: tuple[int, ...] = (0,)) -> NDArray[np.float32]:
@@ -58,52 +85,36 @@ def list_images(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise DataError(f"There is no folder {folder}; check the option data.root.")
-    found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    found = visible(folder, SUFFIXES)
     if not found:
         raise DataError(
             f"The folder {folder} has no images ({', '.join(SUFFIXES[:3])}, ...); check the option data.root."
         )
-    return sorted(found, key=lambda p: natural_key(p.name))
+    return sorted(found, key=lambda path: natural_key(path.name))
 
 
-def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Return a sort key that compares runs of digits by their number."""
-    parts = re.split(r"(\d+)", name)
-    return [(0, int(p), p) if i % 2 else (1, 0, p) for i, p in enumerate(parts)]
-
-
-def safe_name(text: str) -> str:
-    """Return the text with everything replaced that does not belong into a file name."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", text).strip("_.") or "recording"
+def _colour(path: Path) -> NDArray:
+    """Return an image as (H, W, 3) BGR values of the type that the file has."""
+    image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
 
 
 def _decode(path: Path, flags: int) -> NDArray:
     try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise DataError(f"There is no image {path}; the recording is not complete.") from None
+        data = whole(require_file(path, "an image of the recording").read_bytes())
     except OSError as error:
         raise DataError(f"The image {path} cannot be read ({error.strerror}); check the file.") from error
     image = None
-    if data and not _is_cut(data):
+    if data:
         try:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            if image is None:  # grey images of floats have no three channels
+                image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             image = None
     if image is None:
         raise DataError(f"{path} is truncated or no image; copy the file anew or leave the frame out.")
     return image
-
-
-def _is_cut(data: bytes) -> bool:
-    """Tell whether a JPEG or PNG lacks its end; decoders fill the missing part with grey and stay silent."""
-    if data.startswith(b"\xff\xd8"):
-        # Entropy-coded data holds no markers, so the image's own end follows its last start of scan. (An embedded
-        # thumbnail comes before.)
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xda" not in data
-    if data.startswith(b"\x89PNG"):
-        return b"IEND" not in data
-    return False
 
 
 def _check_size(path: Path, image: NDArray, size: tuple[int, int] | None) -> None:

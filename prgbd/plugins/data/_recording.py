@@ -13,7 +13,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data._camera import Undistorter
-from prgbd.plugins.data._images import read_depth, read_image
+from prgbd.plugins.data._images import common_levels, read_depth, read_image
 
 ARCHIVES = (".zip", ".tgz", ".tar.gz", ".tar")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
@@ -79,6 +79,10 @@ class FileSequence(Sequence):
         self.name = name
         self.camera = camera.undistorted()
         self._undistorter = Undistorter(camera)
+        # Of all images, so that a part of the recording looks as it does in the whole.
+        self._levels, understood = common_levels(files.images)
+        if understood:
+            self.remarks = (*self.remarks, understood)
         self._files = files.chosen(frame_range(len(files.images), start, stop, step, name))
         self.timestamps = np.asarray(self._files.timestamps, np.float64)
         bad = np.flatnonzero(~(np.diff(self.timestamps) > 0))
@@ -100,15 +104,14 @@ class FileSequence(Sequence):
         """
         check_index(index, len(self), self.name)
         size = (self.camera.width, self.camera.height)
-        image = self._undistorter.image(read_image(self._files.images[index], size))
+        image = self._undistorter.image(read_image(self._files.images[index], size, self._levels))
         right = None if self._files.rights is None else self._files.rights[index]
         depth = None
         if self._files.depths is not None:  # a sensor's; what a subclass knows of the truth stays out of the frame
             depth = self.depth(index)
             depth = np.zeros(image.shape[:2], np.float32) if depth is None else depth
-        return Frame(
-            index, float(self.timestamps[index]), image, depth, None if right is None else read_image(right, size)
-        )
+        right_image = None if right is None else read_image(right, size, self._levels)
+        return Frame(index, float(self.timestamps[index]), image, depth, right_image)
 
     def depth(self, index: int) -> NDArray[np.float32] | None:
         """Read the depth of a frame, (H, W) float32 metres with 0 where unknown, or None.

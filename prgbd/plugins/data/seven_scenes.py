@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
+from prgbd.io.naming import safe_name
 from prgbd.io.text_tables import text_lines
 from prgbd.plugins.data._camera import plausible
-from prgbd.plugins.data._images import read_image, safe_name
+from prgbd.plugins.data._images import read_image
 from prgbd.plugins.data._recording import Files, FileSequence, as_poses, choose, existing_root, or_unpack
 
 
@@ -65,7 +66,8 @@ class SevenScenesSequence(FileSequence):
             depth_unit=0.001,
             depth_invalid=(0, 65535),
         )
-        name = safe_name(chosen if "/" in chosen else f"{base.resolve().name}/{chosen}")
+        parts = chosen.split("/") if "/" in chosen else [base.resolve().name, chosen]
+        name = "_".join(safe_name(part) for part in parts)
         super().__init__(name, camera, files, start, stop, step)
 
     @classmethod

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import PinholeCamera
+from prgbd.io.naming import safe_name
 from prgbd.io.text_tables import read_table, text_lines
-from prgbd.plugins.data._images import list_images, read_image, safe_name
+from prgbd.plugins.data._images import list_images, read_image
 from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, or_unpack
 
 MAX_DIFFERENCE = 0.02  # seconds, as in the data set's own tools

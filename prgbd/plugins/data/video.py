@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame
+from prgbd.io.naming import safe_name
 from prgbd.plugins.data._camera import Undistorter, known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES as IMAGE_SUFFIXES
-from prgbd.plugins.data._images import safe_name
 from prgbd.plugins.data._mp4 import frame_times
 from prgbd.plugins.data._recording import VIDEO_SUFFIXES, check_index, choose, frame_range
 

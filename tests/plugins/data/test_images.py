@@ -11,7 +11,7 @@ import prgbd
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.plugins.data.images import ImagesSequence
 from tests.contracts import SequenceContract
-from tests.plugins.data.written import cut, picture, write_picture
+from tests.plugins.data.written import cut, picture, write_depth, write_picture
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ class TestContract(SequenceContract):
 
 def test_frames_in_natural_order(root: Path) -> None:
     sequence = prgbd.make_data("images", root=root, fov=90, fps=5)
-    assert (sequence.name, len(sequence), sequence.fps) == ("my_walk", 12, pytest.approx(5))
+    assert (sequence.name, len(sequence), sequence.fps) == ("my_walk-x23b4e087", 12, pytest.approx(5))
     assert sequence.camera.fx == pytest.approx(32)
     for i in (2, 10, 11):
         np.testing.assert_array_equal(sequence.frame(i).image, picture(i))
@@ -38,6 +38,49 @@ def test_frames_in_natural_order(root: Path) -> None:
     assert sequence.frame(0).depth is None
     part = ImagesSequence(root, fov=90, start=4, stop=9, step=2)
     assert [part.frame(i).image[0, 0, 0] for i in range(3)] == [40, 60, 80]
+
+
+def test_names_in_other_scripts_are_recordings_of_their_own(tmp_path: Path) -> None:
+    for name in ("办公室", "走廊", "a b", "a_b"):
+        write_picture(tmp_path / name / "0.png", 0)
+    names = [sequence.name for sequence in prgbd.make_sequences("images", root=tmp_path, fov=60)]
+    assert {"办公室", "走廊", "a_b"} < set(names)
+    assert len(set(names)) == 4
+
+
+def test_names_of_a_clock_give_order_and_times_whatever_the_frame_rate(tmp_path: Path, caplog) -> None:
+    times = [1678886400.2, 1678886400.2333, 1678886400.26, 1678886400.3]
+    for number, time in enumerate(times):
+        write_picture(tmp_path / f"{time!r}.png", number)
+    for fps in (None, 30):
+        sequence = ImagesSequence(tmp_path, fov=60, fps=fps)
+        assert [sequence.frame(i).image[0, 0, 0] for i in range(4)] == [0, 10, 20, 30]
+        np.testing.assert_allclose(sequence.timestamps, times, atol=1e-6)
+    assert sequence.remarks == ("times from names (Unix seconds)",)
+    assert not caplog.messages
+    sequence = ImagesSequence(tmp_path, fov=60, fps=5)
+    assert sequence.fps == pytest.approx(5)
+    assert "are times at 30 Hz, but data.fps=5 is given" in caplog.text
+
+
+def test_times_come_from_a_file(root: Path) -> None:
+    (root / "data.csv").write_text(
+        "#timestamp [ns],filename\n1403636579763555584,im3.png\n1403636579813555456,im1.png\n"
+    )
+    sequence = ImagesSequence(root, fov=60, times="data.csv")
+    assert [sequence.frame(i).image[0, 0, 0] for i in range(2)] == [30, 10]
+    np.testing.assert_allclose(sequence.timestamps, [1403636579.763555584, 1403636579.813555456])
+    with pytest.raises(ConfigError, match=r"data\.fps and data\.times both"):
+        ImagesSequence(root, fov=60, times="data.csv", fps=30)
+
+
+def test_grey_levels_of_12_bits_are_scaled_by_one_factor(tmp_path: Path) -> None:
+    for number, top in enumerate((4000, 900)):
+        write_depth(tmp_path / f"{number}.png", np.linspace(0, top, 64 * 48).reshape(48, 64))
+    sequence = ImagesSequence(tmp_path, fov=60)
+    assert [int(sequence.frame(i).image.max()) for i in range(2)] == [250, 56]
+    assert sequence.remarks == ("images of 12 bits scaled to 8",)
+    assert ImagesSequence(tmp_path, fov=60, start=1).frame(0).image.max() == 56
 
 
 @pytest.mark.parametrize(
@@ -72,7 +115,7 @@ def test_folders_within_are_sequences(root: Path) -> None:
     assert ImagesSequence.available(root=root) == [None]
     assert len(ImagesSequence(root.parent, "my walk", fov=60)) == 12
     both = prgbd.make_sequences("images", root=root.parent, fov=60)
-    assert [s.name for s in both] == ["my_walk", "second"]
+    assert [s.name for s in both] == ["my_walk-x23b4e087", "second"]
     with pytest.raises(DataError, match="choose from my walk, second"):
         ImagesSequence(root.parent, fov=60)
 
@@ -80,7 +123,7 @@ def test_folders_within_are_sequences(root: Path) -> None:
 def test_bad_input_is_named(root: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"camera of .* is not known"):
         ImagesSequence(root)
-    with pytest.raises(ConfigError, match="fps is 0"):
+    with pytest.raises(ConfigError, match=r"data\.fps is 0"):
         ImagesSequence(root, fov=60, fps=0)
     with pytest.raises(ConfigError, match="leaves none of the 12 frames"):
         ImagesSequence(root, fov=60, start=12)

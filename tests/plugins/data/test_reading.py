@@ -11,7 +11,7 @@ import pytest
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import PinholeCamera
 from prgbd.plugins.data._camera import Undistorter, make_camera
-from prgbd.plugins.data._images import list_images, read_depth, read_image, safe_name
+from prgbd.plugins.data._images import common_levels, list_images, read_depth, read_image
 from prgbd.plugins.data._recording import as_poses, frame_range
 from tests.plugins.data.written import cut, picture, write_depth, write_picture
 
@@ -44,15 +44,58 @@ def test_truncated_images_are_refused_wherever_they_end(tmp_path: Path, suffix: 
 
 def test_a_jpeg_with_bytes_after_its_end_is_read(tmp_path: Path) -> None:
     path = write_picture(tmp_path / "a.jpg", 3)
-    path.write_bytes(path.read_bytes() + b"\0" * 100)
+    expected, data = read_image(path), path.read_bytes()
+    film = b"\0\0\0\x18ftypmp42" + np.random.default_rng(0).integers(0, 256, 5000, np.uint8).tobytes()
+    for trailer in (b"\0" * 100, film, data, film + data):
+        path.write_bytes(data + trailer)
+        np.testing.assert_array_equal(read_image(path), expected)
+
+
+def test_a_thumbnail_does_not_hide_that_a_jpeg_is_truncated(tmp_path: Path) -> None:
+    path = write_picture(tmp_path / "a.jpg", 3)
+    data = path.read_bytes()
+    segment = b"\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
+    path.write_bytes(data[:2] + segment + data[2:])
     assert read_image(path).shape == (48, 64, 3)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(DataError, match="truncated"):
+        read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind", "expected"),
+    [(1, np.uint16, 1), (1 / 64, np.uint16, 1), (1 / 256, np.float32, 1 / 65536), (1, np.float32, 1 / 256)],
+)
+def test_images_of_more_than_8_bits_fill_the_range_of_8(tmp_path: Path, scale, kind, expected) -> None:
+    values = np.linspace(0, 65535, 64 * 48).reshape(48, 64)
+    cv2.imwrite(str(tmp_path / "a.tiff"), (values * (scale if kind == np.uint16 else expected)).astype(kind))
+    levels, _ = common_levels([tmp_path / "a.tiff"])
+    image = read_image(tmp_path / "a.tiff", levels=levels)
+    np.testing.assert_allclose(image[..., 0], values / 256, atol=1.01)
+
+
+def test_a_thermal_camera_is_stretched_and_a_stuck_pixel_does_not_count(tmp_path: Path) -> None:
+    values = np.linspace(29500, 30200, 640 * 480).reshape(480, 640)
+    values[100, 100] = 65535
+    write_depth(tmp_path / "a.png", values)
+    levels, said = common_levels([tmp_path / "a.png"])
+    assert "stretched to 8 bits, all by one factor" in said
+    assert np.ptp(read_image(tmp_path / "a.png", levels=levels)[200:, :, 0]) > 60
+
+
+def test_what_a_camera_notes_of_how_it_was_held_turns_the_image(tmp_path: Path) -> None:
+    path = write_picture(tmp_path / "a.jpg", 3)
+    data = path.read_bytes()
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    path.write_bytes(data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:])
+    assert read_image(path).shape == (64, 48, 3)
 
 
 def test_what_is_no_image_or_absent_or_of_another_size_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_text("hello")
     with pytest.raises(DataError, match="no image"):
         read_image(tmp_path / "text.png")
-    with pytest.raises(DataError, match="There is no image"):
+    with pytest.raises(DataError, match=r"There is no file .*an image of the recording"):
         read_image(tmp_path / "absent.png")
     with pytest.raises(DataError, match="64x48 pixels, but the camera of the recording is 32x24"):
         read_image(write_picture(tmp_path / "a.png", 0), (32, 24))
@@ -79,12 +122,6 @@ def test_images_come_in_natural_order(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("")
     (tmp_path / "._im3.png").write_text("")
     assert [p.stem for p in list_images(tmp_path)] == ["im1", "im2", "im9", "im10"]
-
-
-def test_names_are_made_safe() -> None:
-    assert safe_name("redkitchen/seq-01") == "redkitchen_seq-01"
-    assert safe_name("../my video (1).") == "my_video_1"
-    assert safe_name("///") == "recording"
 
 
 def test_a_camera_comes_from_yaml_a_mapping_or_a_field_of_view(tmp_path: Path) -> None:

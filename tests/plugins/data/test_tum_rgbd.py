@@ -126,7 +126,7 @@ def test_bad_input_is_named(root: Path) -> None:
     with pytest.raises(DataError, match="is truncated"):
         TumRgbdSequence(root).frame(1)
     images[1].unlink()
-    with pytest.raises(DataError, match="There is no image"):
+    with pytest.raises(DataError, match="There is no file"):
         TumRgbdSequence(root).frame(1)
     (folder / "rgb.txt").write_text("hello\n")
     with pytest.raises(DataError, match=r"Line 1 of .*rgb\.txt"):
