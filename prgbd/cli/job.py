@@ -19,7 +19,7 @@ from omegaconf import OmegaConf
 from prgbd.cli.display import Display, complain, log_file, quiet
 from prgbd.cli.options import RunOptions, read_options
 from prgbd.cli.parts import Parts, make_parts
-from prgbd.cli.settings import check_machine, trainer_factory
+from prgbd.cli.settings import check_machine, trainer_factory, use_threads
 from prgbd.core.errors import PrgbdError
 from prgbd.io.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
@@ -85,9 +85,9 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
     """
     quiet()
     about = {"version": __version__, "started_in": os.getcwd(), "overrides": overrides, "choices": dict(choices)}
-    noted = {**config, META: about}
     try:
         options = read_options(config)
+        noted = {**config, META: {**about, "threads": use_threads(options.threads)}}
         check_machine(options, config)
         parts = make_parts(options)
         store = RunStore.create(folder, noted)
@@ -123,6 +123,7 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
             return
         with _working_folder(store.config.get(META, {}).get("started_in")):
             options = read_options(config)
+            use_threads(store.config.get(META, {}).get("threads", options.threads))
             parts = make_parts(options)
             display.say(f"Going on with {folder}")
             _run(Job(config, options, parts, store, display, here))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from prgbd.cli.plugin_choices import CHOICES, DataChoice, DepthChoice, SlamChoice, read_choice
 from prgbd.cli.task_options import TASKS, TaskOptions
 from prgbd.core.errors import ConfigError
-from prgbd.core.option_ranges import Seed
+from prgbd.core.option_ranges import Range, Seed
 from prgbd.core.options import from_mapping
 from prgbd.core.registry import SHORT_FOR
 from prgbd.evaluation.settings import EvaluationSettings
@@ -25,6 +25,8 @@ class CommonOptions:
 
     Attributes:
         seed: Seeds everything random: worlds, RANSAC, sampling, augmentation. Same seed, same machine, same result.
+        threads: Processor threads of the depth network, whose number changes the last digits of its sums: null takes
+            OMP_NUM_THREADS, or every core. A run that is resumed goes on with as many as it began with.
         out: The run folder; in a multirun the folder of all its runs.
         resume: FOLDER of a run to continue, or last for the newest unfinished one under outputs/.
         debug: Show tracebacks.
@@ -41,6 +43,7 @@ class CommonOptions:
     """
 
     seed: Seed = 0
+    threads: Annotated[int, Range(1, 1024)] | None = None
     out: str = "outputs"
     resume: str | None = None
     debug: bool = False

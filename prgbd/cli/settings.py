@@ -38,6 +38,22 @@ def check_machine(options: RunOptions, config: Mapping[str, Any]) -> None:
         trainer_factory(config).check(trains=trains)
 
 
+def use_threads(wanted: int | None) -> int:
+    """Let the network compute with so many threads of the processor.
+
+    Args:
+        wanted: How many; None leaves it to PyTorch, which takes OMP_NUM_THREADS, or every core.
+
+    Returns:
+        How many there are now.
+    """
+    import torch
+
+    if wanted is not None:
+        torch.set_num_threads(wanted)
+    return torch.get_num_threads()
+
+
 def trainer_factory(config: Mapping[str, Any]) -> TrainerFactory:
     """Return the Lightning configuration of ``trainer`` with the loggers of ``logger``.
 

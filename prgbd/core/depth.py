@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from prgbd.core.errors import WeightsError
+from prgbd.core.tensor_files import write_tensors
 from prgbd.core.types import DepthPrediction
 from prgbd.core.validation import check_image
 
@@ -112,7 +113,7 @@ class DepthEstimator(nn.Module, ABC):
     def save_weights(self, folder: Path) -> None:
         """Write the weights into ``folder`` (made if needed) so that ``load_weights`` reads them."""
         folder.mkdir(parents=True, exist_ok=True)
-        torch.save(self.state_dict(), folder / self.weights_file)
+        write_tensors(self.state_dict(), folder / self.weights_file)
 
     def load_weights(self, folder: Path) -> None:
         """Read weights from a folder that ``save_weights`` wrote, or from the file itself.

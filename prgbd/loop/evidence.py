@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.criterion import Evidence
 from prgbd.core.multiview import reprojection_errors
-from prgbd.core.types import DepthPrediction, SlamResult
+from prgbd.core.types import DepthPrediction, PinholeCamera, SlamResult
 from prgbd.evaluation.triangulated_depth import disagreement
 from prgbd.functional.losses import photometric_loss
 from prgbd.loop.depth_figures import evenly
@@ -62,16 +62,19 @@ def photometric_errors(result: SlamResult, sensor: DepthSensor, frame_gap: int =
         neighbours = [frame - frame_gap, frame + frame_gap]
         if frame not in keyframes and all(index in pose for index in (frame, *neighbours)):
             sTt = [np.linalg.inv(pose[index]) @ pose[frame] for index in neighbours]
-            errors[str(frame)] = _photometric_error(sensor, frame, neighbours, sTt)
+            errors[str(frame)] = _photometric_error(sensor, result.camera, frame, neighbours, sTt)
     return errors
 
 
-def _photometric_error(sensor: DepthSensor, frame: int, neighbours: Many[int], sTt: Many[Floats]) -> float:
+def _photometric_error(
+    sensor: DepthSensor, camera: PinholeCamera, frame: int, neighbours: Many[int], sTt: Many[Floats]
+) -> float:
+    """Warp with the camera that SLAM's poses belong to, which self-calibration may have refined."""
     estimator, sequence = sensor.estimator, sensor.sequence
     height, width = estimator.input_size
     target, *sources = (estimator.preprocess(sequence.frame(i).image).cpu()[None] for i in (frame, *neighbours))
     inverse = cv2.resize(1 / sensor.depth(frame), (width, height), interpolation=cv2.INTER_AREA)
-    K = torch.from_numpy(sequence.camera.resized(width, height).K).float()[None]
+    K = torch.from_numpy(camera.resized(width, height).K).float()[None]
     transforms = [torch.from_numpy(T).float()[None] for T in sTt]
     prediction = DepthPrediction((torch.from_numpy(1 / inverse)[None, None],))
     with torch.inference_mode():

@@ -9,6 +9,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from prgbd.core.data import Sequence
 from prgbd.core.types import Trajectory
 from prgbd.io.files import write_json
@@ -72,6 +74,7 @@ def write_summary(
         "loops": loops,
         "stop": dict(stop) if stop is not None else None,
         "versions": versions(),
+        "threads": torch.get_num_threads(),
         "seconds": seconds,
         **(more or {}),
     }

@@ -196,6 +196,7 @@ def _supervision(result: SlamResult, settings: RefinementSettings) -> Supervisio
         min_common_points=settings.min_common_points,
         consistency_points=settings.consistency_points,
         min_parallax=settings.min_parallax,
+        far_points=settings.far_points,
     )
 
 

@@ -12,7 +12,7 @@ from prgbd.training.objective import METHOD, Nodes, loss_weights, make_augmentat
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Options of depth refinement; the defaults are the paper's.
+    """Options of depth refinement; the defaults are the paper's but for ``augment`` and ``far_points``.
 
     Attributes:
         loss: Loss terms, name -> options, see ``objective``; a term of weight 0 is not computed.
@@ -20,7 +20,9 @@ class RefinementSettings:
         learning_rate: Of Adam.
         epochs: Passes over the keyframes.
         batch_size: Keyframes per step (pre-training's 12); three images per keyframe pass through the network.
-        augment: Mirror half of the samples and jitter the colours of half of them, besides what ``augmentation`` names.
+        augment: Mirror half of the samples and jitter the colours of half of them, as in pre-training (the paper),
+            besides what ``augmentation`` names. Off, because few keyframes and epochs are better spent unaugmented:
+            docs/method.md has the figures.
         freeze_batchnorm: Keep the statistics of batch normalisation as pre-training left them. By default they follow
             the batches, as in pre-training: on the synthetic street (38 keyframes, 3 epochs at 5e-5, photometric) that
             took Abs Rel from 0.203 to 0.183, frozen statistics to 0.209. Freeze them for batches of one or two.
@@ -40,8 +42,10 @@ class RefinementSettings:
         min_common_points: Points that a neighbouring keyframe should share with the current one.
         consistency_points: ``common`` (the paper) or ``all``, which points depth consistency compares; see
             ``supervision.keyframe_samples``.
-        min_parallax: Degrees under which SLAM must have seen a point; 0 limits its depth to what the sensor measured
-            instead. See ``supervision.keyframe_samples``.
+        min_parallax: Degrees under which SLAM must have seen a point; 0 leaves it to ``far_points``. See
+            ``supervision.keyframe_samples``.
+        far_points: What becomes of points beyond the largest depth that the network predicted: ``drop``, or ``keep``
+            (the paper), which makes the next trajectory worse: docs/method.md has the figures.
         memory_mb: Decoded images beyond this lie in a file instead of memory.
         channels_last: Memory layout of the network's images that convolutions are faster in on most processors.
         compile: Compile the network with ``torch.compile``: about a minute once, then faster steps.
@@ -72,6 +76,7 @@ class RefinementSettings:
     min_common_points: CountOrZero = 20
     consistency_points: Literal["common", "all"] = "common"
     min_parallax: Annotated[float, Range(0, 90, without=90)] = 0.0
+    far_points: Literal["drop", "keep"] = "drop"
     memory_mb: CountOrZero = 1024
     channels_last: bool = True
     compile: bool = False

@@ -153,14 +153,16 @@ def keyframe_samples(
     min_common_points: int = 20,
     consistency_points: str = "common",
     min_parallax: float = 0.0,
+    far_points: str = "drop",
 ) -> Supervision:
     """Make one training sample of every keyframe that has neighbours on both sides.
 
-    Points that lie farther away than anything that the depth sensor measured are left out: their rays are nearly
-    parallel, SLAM knows hardly more than their direction, and one of them at 10 km outweighs everything else in a loss
-    on depth. But a network that predicts far things too near then never learns of them, so with ``min_parallax`` it is
-    the points' own parallax that decides: on synthetic streets the depth of points beyond 40 m that was triangulated
-    under 2 degrees and more is good to 5 to 7 %, where the network errs by 30 %, and the first rule drops half of them.
+    Points that lie farther away than anything that the depth sensor measured are left out unless ``far_points`` or
+    ``min_parallax`` keeps them, which is not the paper's rule: their rays are nearly parallel, SLAM knows hardly more
+    than their direction, and one of them at 10 km outweighs everything else in a loss on depth. But a network that
+    predicts far things too near then never learns of them, so with ``min_parallax`` it is the points' own parallax that
+    decides: on synthetic streets the depth of points beyond 40 m that was triangulated under 2 degrees and more is good
+    to 5 to 7 %, where the network errs by 30 %, and the first rule drops half of them.
 
     Args:
         result: SLAM's output.
@@ -174,14 +176,15 @@ def keyframe_samples(
             trains by its photometric term.
         consistency_points: ``common`` teaches c's depth the points that c, k1 and k2 see (the paper), ``all`` every
             point that is left of c's: about 2.5 times as many on synthetic streets.
-        min_parallax: Degrees under which a point's keyframes must see it; 0 compares its depth with the sensor's
-            instead.
+        min_parallax: Degrees under which a point's keyframes must see it, whatever its depth; 0 does not ask.
+        far_points: What becomes of points beyond the largest depth that the sensor measured where ``min_parallax`` is
+            0: ``drop``, or ``keep`` (the paper).
 
     Returns:
         The samples and why other keyframes gave none.
     """
     cleaned = clean_observations(result, min_keyframes, max_reprojection_error)
-    views = _Views(result, cleaned, consistency_points, min_parallax)
+    views = _Views(result, cleaned, consistency_points, min_parallax, far_points)
     frame_gap = frame_gap or measured_gap(result)
     samples: list[KeyframeSample] = []
     skipped: Counter[str] = Counter()
@@ -211,7 +214,12 @@ class _Views:
     """The cleaned observations by keyframe, and the poses by frame."""
 
     def __init__(
-        self, result: SlamResult, observations: Observations, consistency_points: str, min_parallax: float
+        self,
+        result: SlamResult,
+        observations: Observations,
+        consistency_points: str,
+        min_parallax: float,
+        far_points: str,
     ) -> None:
         self.result = result
         self.consistency_points = consistency_points
@@ -219,7 +227,7 @@ class _Views:
         self.triangulated = np.ones(len(result.points), bool)
         if min_parallax > 0:
             self.triangulated = extreme_parallax(result.keyframes, result.points, observations) >= min_parallax
-        else:
+        elif far_points == "drop":
             self.farthest = float(result.observations.depth.max(initial=0)) or np.inf
         order = np.lexsort((observations.point, observations.keyframe))
         bounds = np.searchsorted(observations.keyframe[order], np.arange(len(result.keyframes) + 1))

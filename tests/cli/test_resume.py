@@ -176,3 +176,32 @@ def test_a_run_in_use_is_left_alone(run, cli):
     store.close()
     assert answer.code == 2
     assert "Another process" in answer.sentence
+
+
+def test_two_runs_leave_the_same_files(cli):
+    """Weights too: what PyTorch writes may not hold the temporary name that it was written under."""
+    for name in ("first", "second"):
+        assert cli(*FAKES, "task.max_loops=1", f"out={name}").code == 0
+    first, second = (
+        {p.relative_to(run): p for p in Path(run).rglob("*.*") if p.is_file()} for run in ("first", "second")
+    )
+    assert first.keys() == second.keys()
+    differ = {str(name) for name in first if first[name].read_bytes() != second[name].read_bytes()}
+    assert not [name for name in differ if Path(name).suffix in (".pth", ".tum", ".kitti", ".ply")]
+
+
+def test_a_resumed_run_keeps_its_number_of_threads(cli, monkeypatch):
+    import torch
+
+    from tests.loop.fakes import Sideways
+
+    monkeypatch.setattr(Sideways, "tracked_in_process", -1000)
+
+    killed_run(*FAKES, "task.max_loops=2", "slam.die_at=18", "threads=3", "out=killed")
+    assert torch.get_num_threads() != 3
+    try:
+        assert cli("resume=killed").code == 0
+        assert torch.get_num_threads() == 3
+        assert json.loads(Path("killed/summary.json").read_text())["threads"] == 3
+    finally:
+        torch.set_num_threads(1)

@@ -55,3 +55,12 @@ def test_frames_without_poses_are_left_out(world):
     assert found["tracked"] == pytest.approx(10 / 24)
     assert max(map(int, found["photometric"])) < 9
     assert found["maps"] == 1
+
+
+def test_images_are_warped_with_the_camera_that_the_poses_belong_to(world):
+    """Self-calibration may have refined it: a sideways motion in metres belongs to one focal length."""
+    sequence, result = world
+    true = photometric_errors(result, Known(sequence), 2)
+    camera = replace(result.camera, fx=1.2 * result.camera.fx, fy=1.2 * result.camera.fy)
+    other = photometric_errors(replace(result, camera=camera), Known(sequence), 2)
+    assert np.mean(list(other.values())) > 1.1 * np.mean(list(true.values()))

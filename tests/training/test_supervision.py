@@ -150,6 +150,8 @@ def test_points_beyond_the_sensors_reach_are_left_out(result):
     found = supervision.keyframe_samples(far, max_reprojection_error=1e4).samples[0]
     assert point not in found.point
     assert found.depth.max() <= result.observations.depth.max()
+    kept = supervision.keyframe_samples(far, max_reprojection_error=1e4, far_points="keep").samples[0]
+    assert point in kept.point
     # Without any measured depth (monocular SLAM) nothing is known about the reach.
     blind = replace(far, observations=replace(far.observations, depth=np.zeros_like(far.observations.depth)))
     assert point in supervision.keyframe_samples(blind, max_reprojection_error=1e4).samples[0].point

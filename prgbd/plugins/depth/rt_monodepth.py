@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from prgbd.core.depth import DepthEstimator, load_matching, read_state_dict
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.core.option_ranges import Positive, Seed, Side
+from prgbd.core.tensor_files import write_tensors
 from prgbd.core.types import DepthPrediction
 from prgbd.io.files import atomic_path
 
@@ -169,7 +170,7 @@ class RTMonoDepth(DepthEstimator):
         for part, name, more in ((self.encoder, ENCODER, extra), (self.depth, DEPTH, {})):
             state = {key: value.detach().cpu() for key, value in part.state_dict().items()}
             with atomic_path(Path(folder) / name) as temporary:
-                torch.save({**state, **more}, temporary)
+                write_tensors({**state, **more}, temporary)
 
     def load_weights(self, folder: Path) -> None:
         """Read ``encoder.pth`` and ``depth.pth`` from ``folder`` (or a file in it) and take over their input size.

@@ -11,6 +11,7 @@ from torch import nn
 
 from prgbd.core.depth import load_matching, read_state_dict
 from prgbd.core.errors import WeightsError
+from prgbd.core.tensor_files import write_tensors
 from prgbd.io.files import atomic_path
 
 ENCODER, DEPTH, POSE_ENCODER, POSE = "encoder.pth", "depth.pth", "pose_encoder.pth", "pose.pth"
@@ -77,4 +78,4 @@ def write_part(module: nn.Module, path: Path, *, half: bool, extra: Mapping[str,
         value = value.detach().cpu().contiguous()
         state[name] = value.half() if half and value.is_floating_point() else value
     with atomic_path(path) as temporary:
-        torch.save({**state, **(extra or {})}, temporary)
+        write_tensors({**state, **(extra or {})}, temporary)
