@@ -100,6 +100,14 @@ class PinholeCamera:
         """Return the same camera without distortion."""
         return replace(self, distortion=())
 
+    def undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return where in the distorted image every pixel of the undistorted one lies: u and v, (H, W) each."""
+        import cv2
+
+        size, coefficients = (self.width, self.height), np.array(self.distortion)
+        u, v = cv2.initUndistortRectifyMap(self.K, coefficients, np.eye(3), self.K, size, cv2.CV_32FC1)
+        return np.asarray(u, np.float32), np.asarray(v, np.float32)
+
     @classmethod
     def from_fov(cls, width: int, height: int, fov_degrees: float) -> PinholeCamera:
         """Make a camera with square pixels from its horizontal field of view in degrees.
@@ -248,7 +256,8 @@ class SlamResult:
     """All that SLAM found out about a sequence.
 
     Attributes:
-        camera: The (undistorted) camera that the observations and poses refer to.
+        camera: The camera that the observations and poses refer to. They are undistorted; where the camera has
+            distortion, SLAM found it in the recording's images, which have to be undistorted to belong to them.
         mode: ``mono``, ``rgbd`` or ``stereo``.
         frames: Number of frames that were given to ``track``.
         trajectory: Final poses of all tracked frames (corrected with their keyframes).

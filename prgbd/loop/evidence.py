@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from prgbd.core.criterion import Evidence
 from prgbd.core.multiview import reprojection_errors
 from prgbd.core.types import DepthPrediction, PinholeCamera, SlamResult
+from prgbd.core.undistortion import Undistorter
 from prgbd.evaluation.triangulated_depth import disagreement
 from prgbd.functional.losses import photometric_loss
 from prgbd.loop.depth_figures import evenly
@@ -72,8 +73,13 @@ def _photometric_error(
     """Warp with the camera that SLAM's poses belong to, which self-calibration may have refined."""
     estimator, sequence = sensor.estimator, sensor.sequence
     height, width = estimator.input_size
-    target, *sources = (estimator.preprocess(sequence.frame(i).image).cpu()[None] for i in (frame, *neighbours))
-    inverse = cv2.resize(1 / sensor.depth(frame), (width, height), interpolation=cv2.INTER_AREA)
+    lens = Undistorter(camera)
+    images = (lens.image(sequence.frame(i).image) for i in (frame, *neighbours))
+    target, *sources = (estimator.preprocess(image).cpu()[None] for image in images)
+    depth = sensor.depth(frame)
+    moved = lens.depth(depth)
+    # What the camera did not see is black in every image; any depth will do there.
+    inverse = cv2.resize(1 / np.where(moved > 0, moved, depth), (width, height), interpolation=cv2.INTER_AREA)
     K = torch.from_numpy(camera.resized(width, height).K).float()[None]
     transforms = [torch.from_numpy(T).float()[None] for T in sTt]
     prediction = DepthPrediction((torch.from_numpy(1 / inverse)[None, None],))

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
+from prgbd.core.types import PinholeCamera
+from prgbd.core.undistortion import Undistorter
 
 
 def decode_frames(
@@ -17,6 +19,7 @@ def decode_frames(
     frames: Many[int] | NDArray[np.int64],
     estimator: DepthEstimator,
     file: Path | None,
+    camera: PinholeCamera | None = None,
 ) -> NDArray[np.uint8]:
     """Decode and resize frames.
 
@@ -25,6 +28,7 @@ def decode_frames(
         frames: Positions in the recording.
         estimator: Says the size.
         file: Where to keep the images, as ``.npy``; None for memory.
+        camera: The camera of the images by SLAM, whose distortion is removed; None removes none.
 
     Returns:
         (F, 3, h, w) uint8, in memory or mapped from the file.
@@ -36,8 +40,9 @@ def decode_frames(
     else:
         file.parent.mkdir(parents=True, exist_ok=True)
         images = np.lib.format.open_memmap(file, mode="w+", dtype=np.uint8, shape=shape)
+    undistorter = Undistorter(camera or sequence.camera.undistorted())
     for row, frame in enumerate(frames):
-        image = estimator.preprocess(sequence.frame(int(frame)).image)
+        image = estimator.preprocess(undistorter.image(sequence.frame(int(frame)).image))
         images[row] = (image * 255).round_().clamp_(0, 255).byte().cpu().numpy()
     return images
 

@@ -101,7 +101,7 @@ def decode_images(
         )
     frames = needed_frames(supervision)
     height, width = estimator.input_size
-    images = decode_frames(sequence, frames, estimator, file)
+    images = decode_frames(sequence, frames, estimator, file, camera)
     return SupervisedImages(sequence.name, supervision, camera.resized(width, height), frames, images)
 
 

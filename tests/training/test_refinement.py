@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -185,6 +186,33 @@ def test_images_are_decoded_once_and_may_lie_in_a_file(tmp_path):
         runs.append(outcome.held_out_after)
     assert runs[0] == runs[1]
     assert not (tmp_path / "images").exists()
+
+
+def test_images_are_undistorted_with_the_lens_that_slam_found():
+    """Its pixels and poses are those of a pinhole camera, whose images the network has to learn from."""
+    wall = WallSequence(12, width=192, height=128)
+    given = replace(wall.camera, distortion=(-0.2, 0.03, 0.0, 0.0))
+    v, u = np.mgrid[: given.height, : given.width].astype(np.float32)
+    ideal = cv2.undistortPoints(np.stack([u, v], -1).reshape(-1, 1, 2), given.K, np.array(given.distortion), P=given.K)
+    maps = (ideal[:, 0, 0].reshape(u.shape), ideal[:, 0, 1].reshape(u.shape))
+
+    class Distorted(WallSequence):
+        def frame(self, index):
+            frame = super().frame(index)
+            return replace(frame, image=cv2.remap(frame.image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT))
+
+    true = true_slam_result(wall)
+    found = replace(true, camera=given)
+    plain, bent, mended = (
+        samples_of((sequence, result), TiltNet()).images.astype(float)
+        for sequence, result in (
+            (wall, true),
+            (Distorted(12, width=192, height=128), true),
+            (Distorted(12, width=192, height=128), found),
+        )
+    )
+    inner = (..., slice(8, -8), slice(8, -8))
+    assert np.abs(mended - plain)[inner].mean() < 0.2 * np.abs(bent - plain)[inner].mean()
 
 
 def test_a_checkpoint_may_be_kept(wall, tmp_path):

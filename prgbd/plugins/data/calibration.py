@@ -111,7 +111,7 @@ def estimate_camera(image: Image, count: int, name: str, tell: Listener | None =
     found.sort(key=lambda result: result.camera.fx)
     middle = found[len(found) // 2] if len(found) != 2 else max(found, key=lambda result: len(result.keyframes))
     height, width = image(0).shape[:2]
-    k = float(next(iter(middle.stats["camera"]["distortion_found"]), 0.0))
+    k = next(iter(middle.camera.distortion), 0.0)
     full = replace(middle.camera, distortion=(round(k, 5), 0.0, 0.0, 0.0)).resized(width, height)
     # As precise as the file that it is kept in, so that it is the same with and without it.
     camera = replace(full, **{name: round(getattr(full, name), 2) for name in ("fx", "fy", "cx", "cy")})

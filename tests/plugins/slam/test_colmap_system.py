@@ -95,6 +95,9 @@ def test_an_unknown_camera_is_estimated(slam_map):
     result = reconstructed(slam_map, "mono", intrinsics="unknown")
     assert result.camera.fx == pytest.approx(slam_map.camera.fx, rel=0.1)
     assert result.stats["camera"]["fx"] == result.camera.fx
+    # The images are undistorted with what was found before anything learns from them.
+    assert len(result.camera.distortion) == 4
+    assert abs(result.camera.distortion[0]) < 0.05
 
 
 def test_several_models_are_said(caplog):

@@ -42,7 +42,7 @@ class Model:
     """A reconstruction as columns, in COLMAP's own scale.
 
     Attributes:
-        camera: The camera without distortion.
+        camera: The camera, with the distortion of the images in OpenCV's order.
         frame_index: (K,) int64 registered frames, ascending.
         wTc: (K, 4, 4) float64.
         xyz: (P, 3) float64 points.
@@ -66,11 +66,6 @@ class Model:
     raw_uv: NDArray[np.float32]
     sizes: list[int]
     lens: Any
-
-    @property
-    def distortion(self) -> list[float]:
-        """Coefficients of the distortion in the order of COLMAP's camera model."""
-        return [float(self.lens.params[i]) for i in self.lens.extra_params_idxs()]
 
 
 def image_name(index: int) -> str:
@@ -140,12 +135,20 @@ def _extract(
     tell("COLMAP features", len(names), len(names))
 
 
+def _distortion(lens: Any) -> tuple[float, ...]:
+    """Return OpenCV's coefficients of COLMAP's camera, of a model that is asked for here."""
+    found = [float(lens.params[i]) for i in lens.extra_params_idxs()]
+    if not any(found):
+        return ()
+    return (found[0], 0.0, 0.0, 0.0) if len(found) == 1 else tuple(found)
+
+
 def _camera_model(camera: PinholeCamera) -> tuple[str, list[float]]:
     pinhole = [camera.fx, camera.fy, camera.cx + CENTRE, camera.cy + CENTRE]
     if not any(camera.distortion):
         return "PINHOLE", pinhole
-    k = [*camera.distortion, 0.0, 0.0, 0.0, 0.0][:5]
-    return "FULL_OPENCV", [*pinhole, *k, 0.0, 0.0, 0.0]
+    k = [*camera.distortion, *8 * [0.0]][:8]
+    return "FULL_OPENCV", [*pinhole, *k]
 
 
 def pairs_in_order(count: int, overlap: int) -> list[tuple[int, int]]:
@@ -231,6 +234,7 @@ def _columns(model: pycolmap.Reconstruction, given: PinholeCamera, sizes: list[i
         float(lens.focal_length_y),
         float(lens.principal_point_x) - CENTRE,
         float(lens.principal_point_y) - CENTRE,
+        _distortion(lens),
     )
     points = sorted(model.points3D)
     row = {point: i for i, point in enumerate(points)}

@@ -204,7 +204,7 @@ class ColmapSLAM(GeometricSLAM):
                 "located_frames": len(located.frame_index),
                 "interpolated_frames": indices[between].tolist(),
                 "intrinsics": self._options["intrinsics"],
-                "camera": {**model.camera.to_dict(), "distortion_found": model.distortion},
+                "camera": model.camera.to_dict(),
             },
         )
 
