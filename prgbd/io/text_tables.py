@@ -46,12 +46,12 @@ def read_table(path: Path | str, columns: int, what: str, finite: bool = False) 
     rows: list[NDArray[np.float64]] = []
     for number, words in text_lines(path, what):
         row = as_numbers(words)
-        if row is None or len(row) != columns or (finite and not np.isfinite(row).all()):
-            kind = "finite numbers" if finite else "numbers"
-            raise DataError(
-                f"Line {number} of {path} is not {columns} {kind} ({what}); {_mend(words, columns, not rows)}."
-            )
-        if (np.abs(row) > LARGEST).any() and np.isfinite(row).all():
+        if row is None or len(row) != columns:
+            mend = _mend(words, columns, not rows)
+            raise DataError(f"Line {number} of {path} is not {columns} numbers ({what}); {mend}.")
+        if finite and not np.isfinite(row).all():
+            raise DataError(f"Line {number} of {path} has a number that is not finite ({what}); check the file.")
+        if (np.abs(row[np.isfinite(row)]) > LARGEST).any():
             raise DataError(f"Line {number} of {path} has a number beyond {LARGEST:g} ({what}); check the file.")
         rows.append(row)
     return np.array(rows, np.float64).reshape(-1, columns)

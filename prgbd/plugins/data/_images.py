@@ -56,27 +56,6 @@ def common_levels(images: Sequence[Path]) -> tuple[Levels, str]:
     return levels_of(values)
 
 
-def read_depth(path: Path, unit: float, size: tuple[int, int], invalid: tuple[int, ...] = (0,)) -> NDArray[np.float32]:
-    """Read a 16-bit depth image as (H, W) float32 metres with 0 where unknown.
-
-    Args:
-        path: The file.
-        unit: Metres per grey level.
-        size: (width, height) that the image must have, pixels.
-        invalid: Grey levels that mean "unknown".
-
-    Raises:
-        DataError: If the file is absent, truncated, of another size, or not 16-bit grey.
-    """
-    levels = _decode(path, cv2.IMREAD_UNCHANGED)
-    if levels.ndim != 2 or levels.dtype != np.uint16:
-        raise DataError(f"{path} is no 16-bit grey image, so it holds no depth; check the file.")
-    _check_size(path, levels, size)
-    depth = levels.astype(np.float32) * np.float32(unit)
-    depth[np.isin(levels, invalid)] = 0.0
-    return depth
-
-
 def list_images(folder: Path) -> list[Path]:
     """Return the image files of a folder in natural order (2 before 10).
 

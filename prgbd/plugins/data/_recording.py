@@ -13,7 +13,8 @@ from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data._camera import Undistorter
-from prgbd.plugins.data._images import common_levels, read_depth, read_image
+from prgbd.plugins.data._depth_files import DepthFormat, DepthReader
+from prgbd.plugins.data._images import common_levels, read_image
 
 ARCHIVES = (".zip", ".tgz", ".tar.gz", ".tar")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
@@ -29,8 +30,7 @@ class Files:
         depths: Depth files, None for frames without; None if the recording has none.
         rights: Right images likewise.
         poses: (N, 4, 4) ``wTc`` with NaN where unknown.
-        depth_unit: Metres per grey level of the depth files.
-        depth_invalid: Grey levels that mean "unknown".
+        depth_format: What the numbers in the depth files mean.
     """
 
     images: list[Path]
@@ -38,8 +38,7 @@ class Files:
     depths: list[Path | None] | None = None
     rights: list[Path | None] | None = None
     poses: NDArray[np.float64] | None = None
-    depth_unit: float = 0.001
-    depth_invalid: tuple[int, ...] = field(default=(0,))
+    depth_format: DepthFormat = field(default_factory=DepthFormat)
 
     def chosen(self, keep: range) -> Files:
         """Return the frames of a range."""
@@ -50,8 +49,7 @@ class Files:
             None if self.depths is None else [self.depths[i] for i in keep],
             None if self.rights is None else [self.rights[i] for i in keep],
             None if self.poses is None else self.poses[index],
-            self.depth_unit,
-            self.depth_invalid,
+            self.depth_format,
         )
 
 
@@ -84,6 +82,7 @@ class FileSequence(Sequence):
         if understood:
             self.remarks = (*self.remarks, understood)
         self._files = files.chosen(frame_range(len(files.images), start, stop, step, name))
+        self._depths = DepthReader(name, (camera.width, camera.height), files.depth_format)
         self.timestamps = np.asarray(self._files.timestamps, np.float64)
         bad = np.flatnonzero(~(np.diff(self.timestamps) > 0))
         if len(bad) or not np.isfinite(self.timestamps).all():
@@ -122,8 +121,7 @@ class FileSequence(Sequence):
         path = None if self._files.depths is None else self._files.depths[index]
         if path is None:
             return None
-        size = (self.camera.width, self.camera.height)
-        return self._undistorter.depth(read_depth(path, self._files.depth_unit, size, self._files.depth_invalid))
+        return self._undistorter.depth(self._depths.read(path))
 
 
 def check_index(index: int, length: int, name: str) -> None:

@@ -12,6 +12,7 @@ from prgbd.core.errors import ConfigError, DataError
 from prgbd.io.naming import safe_name
 from prgbd.io.text_tables import text_lines
 from prgbd.plugins.data._camera import plausible
+from prgbd.plugins.data._depth_files import DepthFormat
 from prgbd.plugins.data._images import read_image
 from prgbd.plugins.data._recording import Files, FileSequence, as_poses, choose, existing_root, or_unpack
 
@@ -26,6 +27,8 @@ class SevenScenesSequence(FileSequence):
         sequence: For example ``redkitchen/seq-01`` (``seq-01`` where ``root`` is a scene). None takes the only one.
         focal: Focal length in pixels. The colour camera fits 525; the 585 often shipped is the depth camera's.
         fps: Frames per second; the data set has no time stamps.
+        depth_levels_per_metre: Grey levels in one metre of depth: 1000, as a level is a millimetre.
+        depth_invalid: Grey levels that mean "unknown".
         start: First frame.
         stop: Frame to stop before; None for the end.
         step: Take every ``step``-th frame.
@@ -41,6 +44,8 @@ class SevenScenesSequence(FileSequence):
         sequence: str | None = None,
         focal: float = 525.0,
         fps: float = 30.0,
+        depth_levels_per_metre: float = 1000.0,
+        depth_invalid: tuple[float, ...] = (0, 65535),
         start: int = 0,
         stop: int | None = None,
         step: int = 1,
@@ -63,8 +68,7 @@ class SevenScenesSequence(FileSequence):
             numbers / fps,
             depths if any(depths) else None,
             poses=poses if np.isfinite(poses).any() else None,
-            depth_unit=0.001,
-            depth_invalid=(0, 65535),
+            depth_format=DepthFormat(depth_levels_per_metre, depth_invalid),
         )
         parts = chosen.split("/") if "/" in chosen else [base.resolve().name, chosen]
         name = "_".join(safe_name(part) for part in parts)

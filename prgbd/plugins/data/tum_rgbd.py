@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import PinholeCamera
 from prgbd.io.naming import safe_name
-from prgbd.io.text_tables import read_table, text_lines
+from prgbd.io.text_tables import as_numbers
+from prgbd.plugins.data._depth_files import DepthFormat
 from prgbd.plugins.data._images import list_images, read_image
 from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, or_unpack
+from prgbd.plugins.data._rgbd_layout import depth_of_images, own_seconds, read_list, sorted_by_time, true_poses
 
-MAX_DIFFERENCE = 0.02  # seconds, as in the data set's own tools
-MAX_GAP = 0.1  # seconds between two poses of the motion capture to interpolate over
+LEVELS_PER_METRE = 5000.0
 
 # Published calibrations of the colour cameras; freiburg3 is undistorted already.
 FAMILIES = {
@@ -36,12 +36,16 @@ class TumRgbdSequence(FileSequence):
     """One recording: ``rgb/``, ``depth/`` and ``groundtruth.txt``, with ``rgb.txt`` and ``depth.txt`` where present.
 
     Every colour image is a frame. Depth is the nearest depth image within 0.02 s (frames without one get a depth of 0
-    everywhere), true poses are interpolated between the motion capture's. Images and depth are undistorted.
+    everywhere), true poses are interpolated between the motion capture's. Times in
+    another unit, or that count from the start, are recognised and said. Images and depth are undistorted.
 
     Args:
         root: The folder of one recording, or the folder above several.
         sequence: Name of the recording's folder. None takes the only one.
         family: ``freiburg1``, ``freiburg2`` or ``freiburg3``, which names the camera; None reads it off the name.
+        depth_levels_per_metre: Grey levels in one metre of depth: 5000 in this data set, 1000 where a level is a
+            millimetre.
+        depth_invalid: Grey levels that mean "unknown"; 0 and 65535 always do.
         start: First frame.
         stop: Frame to stop before; None for the end.
         step: Take every ``step``-th frame.
@@ -56,6 +60,8 @@ class TumRgbdSequence(FileSequence):
         root: str | Path,
         sequence: str | None = None,
         family: str | None = None,
+        depth_levels_per_metre: float = LEVELS_PER_METRE,
+        depth_invalid: tuple[float, ...] = (0,),
         start: int = 0,
         stop: int | None = None,
         step: int = 1,
@@ -68,11 +74,15 @@ class TumRgbdSequence(FileSequence):
         times, images = _stamped(folder, "rgb")
         size = read_image(images[0]).shape
         if size[:2] != (camera.height, camera.width):
-            raise DataError(f"{images[0]} is {size[1]}x{size[0]} pixels; the images of this data set are 640x480.")
-        files = Files(images, times, poses=_poses(folder / "groundtruth.txt", times), depth_unit=1 / 5000)
+            raise DataError(
+                f"{images[0]} is {size[1]}x{size[0]} pixels; the images of this data set are 640x480; "
+                "for another camera take data=rgbd."
+            )
+        times = own_seconds(times, folder / "rgb")
+        files = Files(images, times, poses=true_poses(folder / "groundtruth.txt", times))
+        files.depth_format = DepthFormat(depth_levels_per_metre, depth_invalid)
         if (folder / "depth").is_dir():
-            depth_times, depth_files = _stamped(folder, "depth")
-            files.depths = [None if i < 0 else depth_files[i] for i in _partners(depth_times, times)]
+            files.depths = depth_of_images(*_stamped(folder, "depth"), times, folder)
         super().__init__(safe_name(chosen), camera, files, start, stop, step)
 
     @classmethod
@@ -101,7 +111,8 @@ def _camera(folder: Path, family: str | None) -> PinholeCamera:
         found = re.search(r"freiburg[123]", folder.resolve().name)
         if found is None:
             raise DataError(
-                f"The name of {folder} does not tell its camera; set the option data.family to {', '.join(FAMILIES)}."
+                f"The name of {folder} does not tell its camera; set the option data.family to {', '.join(FAMILIES)}, "
+                "or take data=rgbd with a camera.yaml for another camera."
             )
         family = found[0]
     if family not in FAMILIES:
@@ -112,69 +123,12 @@ def _camera(folder: Path, family: str | None) -> PinholeCamera:
 def _stamped(folder: Path, kind: str) -> tuple[NDArray[np.float64], list[Path]]:
     """Return the time stamps and files of ``rgb`` or ``depth`` in order of time."""
     listing = folder / f"{kind}.txt"
-    pairs = []
     if listing.is_file():
-        for number, words in text_lines(listing, f"list of {kind} images"):
-            if len(words) != 2 or not _is_number(words[0]):
-                raise DataError(f"Line {number} of {listing} is not a time stamp and a file name; copy the file anew.")
-            pairs.append((float(words[0]), folder / words[1]))
-    else:
-        for path in list_images(folder / kind):
-            if not _is_number(path.stem):
-                raise DataError(f"The name of {path} is no time stamp, and there is no {listing}; add the list.")
-            pairs.append((float(path.stem), path))
-    if not pairs:
-        raise DataError(f"{listing} lists no images; copy the file anew.")
-    pairs.sort(key=lambda pair: pair[0])
-    return np.array([t for t, _ in pairs]), [p for _, p in pairs]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return bool(np.isfinite(float(text)))
-    except ValueError:
-        return False
-
-
-def _nearest(among: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return for each time the index of the nearest of the ascending times ``among``."""
-    after = np.clip(np.searchsorted(among, times), 1, max(len(among) - 1, 1))
-    if len(among) == 1:
-        return np.zeros(len(times), np.int64)
-    return np.where(times - among[after - 1] <= among[after] - times, after - 1, after).astype(np.int64)
-
-
-def _partners(among: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return for each time the index of its partner in ``among`` within 0.02 s, or -1; a partner serves only once."""
-    nearest = _nearest(among, times)
-    difference = np.abs(among[nearest] - times)
-    closest = np.full(len(among), np.inf)
-    np.minimum.at(closest, nearest, difference)
-    return np.where((difference <= MAX_DIFFERENCE) & (difference == closest[nearest]), nearest, -1)
-
-
-def _poses(path: Path, times: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the true poses (N, 4, 4) at the given times, NaN in gaps of the motion capture; None without a file."""
-    if not path.is_file():
-        return None
-    rows = read_table(path, 8, "time stamp, translation and quaternion")
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    rows = rows[np.append(True, np.diff(rows[:, 0]) > 0)] if len(rows) else rows
-    norm = np.linalg.norm(rows[:, 4:], axis=1)
-    if not (np.isfinite(rows).all() and np.all(np.abs(norm - 1) < 0.05)):
-        raise DataError(f"{path} has a pose that is not finite or whose quaternion is not of length 1; copy it anew.")
-    out = np.full((len(times), 4, 4), np.nan)
-    if len(rows) < 2:
-        return None
-    nearest = _nearest(rows[:, 0], times)
-    after = np.clip(np.searchsorted(rows[:, 0], times, side="right"), 1, len(rows) - 1)
-    gap = rows[after, 0] - rows[after - 1, 0]
-    inside = (times >= rows[0, 0]) & (times <= rows[-1, 0])
-    known = inside & (gap <= MAX_GAP) & (np.abs(rows[nearest, 0] - times) <= MAX_DIFFERENCE)
-    if not known.any():
-        return None
-    at = times[known]
-    out[known] = np.eye(4)
-    out[known, :3, :3] = Slerp(rows[:, 0], Rotation.from_quat(rows[:, 4:]))(at).as_matrix()
-    out[known, :3, 3] = np.stack([np.interp(at, rows[:, 0], rows[:, 1 + i]) for i in range(3)], axis=1)
-    return out
+        return read_list(listing, kind)
+    pairs = []
+    for path in list_images(folder / kind):
+        time = as_numbers([path.stem])
+        if time is None or not np.isfinite(time[0]):
+            raise DataError(f"The name of {path} is no time stamp, and there is no {listing}; add the list.")
+        pairs.append((float(time[0]), path))
+    return sorted_by_time(pairs)

@@ -11,9 +11,9 @@ import pytest
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import PinholeCamera
 from prgbd.plugins.data._camera import Undistorter, make_camera
-from prgbd.plugins.data._images import common_levels, list_images, read_depth, read_image
+from prgbd.plugins.data._images import common_levels, list_images, read_image
 from prgbd.plugins.data._recording import as_poses, frame_range
-from tests.plugins.data.written import cut, picture, write_depth, write_picture
+from tests.plugins.data.written import cut, picture, write_picture
 
 
 def test_images_are_rgb_and_contiguous(tmp_path: Path) -> None:
@@ -99,21 +99,6 @@ def test_what_is_no_image_or_absent_or_of_another_size_is_refused(tmp_path: Path
         read_image(tmp_path / "absent.png")
     with pytest.raises(DataError, match="64x48 pixels, but the camera of the recording is 32x24"):
         read_image(write_picture(tmp_path / "a.png", 0), (32, 24))
-
-
-def test_depth_keeps_its_unit_and_marks_the_unknown(tmp_path: Path) -> None:
-    levels = np.full((48, 64), 5000)
-    levels[0, :3] = 0, 65535, 65534
-    depth = read_depth(write_depth(tmp_path / "d.png", levels), 1 / 5000, (64, 48), (0, 65535))
-    assert depth.dtype == np.float32
-    assert depth[5, 5] == pytest.approx(1)
-    assert list(depth[0, :2]) == [0, 0]
-    assert depth[0, 2] == pytest.approx(65534 / 5000)
-
-
-def test_a_colour_image_is_no_depth(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="16-bit"):
-        read_depth(write_picture(tmp_path / "d.png", 1), 0.001, (64, 48))
 
 
 def test_images_come_in_natural_order(tmp_path: Path) -> None:
