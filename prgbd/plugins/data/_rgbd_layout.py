@@ -121,9 +121,9 @@ def _have_pose(among: Times, times: Times, what: str) -> NDArray[np.bool_]:
     if step <= LOW_RATE:
         return inside & (gap <= MAX_GAP) & beside
     if step > LOWEST_RATE:
-        log.warning("There is one every %.3g s of %s: only the images beside one have a true pose.", step, what)
+        log.warning("Of %s there is only one every %.3g s: only images beside one have a true pose.", what, step)
         return inside & beside
-    log.warning("There is one every %.3g s of %s: those of the images are interpolated.", step, what)
+    log.warning("Of %s there is one every %.3g s: those of the images between are interpolated.", what, step)
     return inside & ((gap <= STEPS * step) | beside)
 
 
