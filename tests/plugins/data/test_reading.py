@@ -13,7 +13,7 @@ from prgbd.core.types import PinholeCamera
 from prgbd.plugins.data._camera import Undistorter, make_camera
 from prgbd.plugins.data._images import common_levels, list_images, read_image
 from prgbd.plugins.data._recording import as_poses, frame_range
-from tests.plugins.data.written import cut, picture, write_picture
+from tests.plugins.data.written import cut, picture, write_depth, write_picture
 
 
 def test_images_are_rgb_and_contiguous(tmp_path: Path) -> None:
