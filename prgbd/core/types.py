@@ -100,14 +100,6 @@ class PinholeCamera:
         """Return the same camera without distortion."""
         return replace(self, distortion=())
 
-    def undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return where in the distorted image every pixel of the undistorted one lies: u and v, (H, W) each."""
-        import cv2
-
-        size, coefficients = (self.width, self.height), np.array(self.distortion)
-        u, v = cv2.initUndistortRectifyMap(self.K, coefficients, np.eye(3), self.K, size, cv2.CV_32FC1)
-        return np.asarray(u, np.float32), np.asarray(v, np.float32)
-
     @classmethod
     def from_fov(cls, width: int, height: int, fov_degrees: float) -> PinholeCamera:
         """Make a camera with square pixels from its horizontal field of view in degrees.
