@@ -10,17 +10,22 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError, SlamError
 from prgbd.core.types import PinholeCamera
+from prgbd.plugins.data._camera_files import read_camera_file
+from prgbd.plugins.data._lens import FisheyeCamera, check_lens
 from prgbd.plugins.data.calibration import can_estimate, estimate_camera
 
 log = logging.getLogger("prgbd")
 
 INTRINSICS = ("fx", "fy", "cx", "cy")
-KEYS = ("width", "height", *INTRINSICS, "distortion", "fov_degrees")
+KEYS = ("width", "height", *INTRINSICS, "distortion", "model", "fov_degrees")
+LENSES = {"pinhole": (0,), "opencv": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}
+"""How many coefficients a lens of each model has."""
+ANOTHER_SIZE = 0.1  # by which the principal point is off the middle, by one ratio in both directions
+ONE_RATIO = 0.03
 
 
 def known_or_estimated(
@@ -102,7 +107,8 @@ def make_camera(
         return PinholeCamera.from_fov(width, height, _number(fov, "data.fov"))
     if isinstance(camera, Mapping):
         return camera_from_values(camera, "the option data.camera", width, height)
-    return camera_from_values(_read_yaml(Path(camera)), str(camera), width, height)
+    path = Path(camera).expanduser()
+    return camera_from_values(read_camera_file(path), str(path), width, height)
 
 
 def camera_from_values(values: Any, source: str, width: int, height: int) -> PinholeCamera:
@@ -117,8 +123,9 @@ def camera_from_values(values: Any, source: str, width: int, height: int) -> Pin
     unknown = [str(key) for key in inner if key not in KEYS]
     if unknown:
         raise DataError(f"{source} has an unknown entry '{unknown[0]}'; the entries are {', '.join(KEYS)}.")
+    stated = "width" in inner or "height" in inner
     size = tuple(
-        int(_number(inner.get(key, own), f"{key} in {source}")) for key, own in (("width", width), ("height", height))
+        _whole(inner.get(key, own), f"{key} in {source}") for key, own in (("width", width), ("height", height))
     )
     if size != (width, height):
         raise DataError(
@@ -131,13 +138,49 @@ def camera_from_values(values: Any, source: str, width: int, height: int) -> Pin
     if absent:
         raise DataError(f"{source} lacks {', '.join(absent)}; it needs {', '.join(INTRINSICS)} or fov_degrees.")
     fx, fy, cx, cy = (_number(inner[key], f"{key} in {source}") for key in INTRINSICS)
-    distortion = inner.get("distortion") or []
-    if not isinstance(distortion, (list, tuple)) and not hasattr(distortion, "__iter__"):
+    model, coefficients = _lens(inner, source)
+    camera = plausible(width, height, (fx, fy, cx, cy), coefficients, source)
+    if not stated:
+        _check_size(camera, source)
+    if model == "fisheye":
+        camera = FisheyeCamera(width, height, fx, fy, cx, cy, coefficients)
+    check_lens(camera, source, model)
+    return camera
+
+
+def _lens(values: Mapping[str, Any], source: str) -> tuple[str | None, tuple[float, ...]]:
+    """Return the model, None where none is named, and the coefficients of the lens."""
+    model = values.get("model")
+    if model is not None and model not in tuple(LENSES):
+        raise DataError(f"The model in {source} is '{model}'; it must be one of {', '.join(LENSES)}.")
+    given = values.get("distortion")
+    given = [] if given is None else given
+    if not isinstance(given, (list, tuple)):
         raise DataError(f"The distortion in {source} must be a list of 4, 5 or 8 numbers.")
-    coefficients = tuple(_number(value, f"distortion in {source}") for value in distortion)
-    if len(coefficients) not in (0, 4, 5, 8):
-        raise DataError(f"The distortion in {source} has {len(coefficients)} numbers; OpenCV's model has 4, 5 or 8.")
-    return plausible(width, height, (fx, fy, cx, cy), coefficients, source)
+    coefficients = tuple(_number(value, f"distortion in {source}") for value in given)
+    possible = LENSES[model or "opencv"]
+    if len(coefficients) not in possible:
+        listed = " or ".join(map(str, possible))
+        raise DataError(
+            f"The distortion in {source} has {len(coefficients)} numbers; the model '{model or 'opencv'}' has {listed}."
+        )
+    return model, coefficients
+
+
+def _check_size(camera: PinholeCamera, source: str) -> None:
+    """Refuse a camera whose principal point is the middle of images of another size.
+
+    Raises:
+        DataError: If it is off the middle by one ratio in both directions.
+    """
+    x, y = (2 * camera.cx + 1) / camera.width, (2 * camera.cy + 1) / camera.height
+    ratio = float(np.sqrt(x * y))
+    if abs(ratio - 1) > ANOTHER_SIZE and abs(x / y - 1) < ONE_RATIO:
+        raise DataError(
+            f"{source} has its principal point in the middle of images of about {x * camera.width:.0f}x"
+            f"{y * camera.height:.0f} pixels, but the images are {camera.width}x{camera.height}; multiply fx, fy, "
+            f"cx and cy by {1 / ratio:.3g}, or calibrate at this size, and write width and height into it."
+        )
 
 
 def plausible(
@@ -174,7 +217,8 @@ class Undistorter:
         if any(camera.distortion):
             size = (camera.width, camera.height)
             coefficients = np.array(camera.distortion)
-            self._maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_32FC1)
+            maps = cv2.fisheye if isinstance(camera, FisheyeCamera) else cv2
+            self._maps = maps.initUndistortRectifyMap(camera.K, coefficients, np.eye(3), camera.K, size, cv2.CV_32FC1)
 
     def image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the undistorted (H, W, 3) image; what the camera did not see is black."""
@@ -189,19 +233,18 @@ class Undistorter:
         return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), np.float32)
 
 
-def _read_yaml(path: Path) -> Any:
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(f"There is no camera file {path}; check the option data.camera.") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise DataError(f"{path} is no readable YAML file; write 'camera:' with fx, fy, cx, cy.") from error
+def _whole(value: Any, what: str) -> int:
+    number = _number(value, what)
+    if number != int(number):
+        raise DataError(f"{what} is {number:g}, which is no whole number; mend it.")
+    return int(number)
 
 
 def _number(value: Any, what: str) -> float:
     try:
-        number = float(value)
-    except (TypeError, ValueError):
+        # Python takes True for 1; YAML reads 5e2 as text, which is meant as a number.
+        number = float("true" if isinstance(value, bool) else value)
+    except (TypeError, ValueError, OverflowError):
         raise DataError(f"{what} is {value!r}, which is no number; mend it.") from None
     if not np.isfinite(number):
         raise DataError(f"{what} is {number}, which is not finite; mend it.")

@@ -8,6 +8,7 @@ import pytest
 
 import prgbd
 from prgbd.core.errors import SlamError
+from prgbd.core.testing.planar_scene import planar_scene
 from prgbd.core.types import PinholeCamera
 from prgbd.plugins.data.calibration import Estimate, estimate_camera, pieces, step_of
 from prgbd.tools.__main__ import main
@@ -23,7 +24,7 @@ def test_pieces_are_spread_and_fit() -> None:
 
 
 def test_images_are_as_far_apart_as_the_motion_asks() -> None:
-    wall = prgbd.core.testing.conformance.planar_scene(60)
+    wall = planar_scene(60)
     assert step_of(lambda i: wall[i].image, 60) == 4  # 3 pixels a frame
     assert step_of(lambda i: np.zeros((48, 64, 3), np.uint8), 60) == 2
 
@@ -35,7 +36,7 @@ def test_pieces_that_differ_are_said() -> None:
 
 def test_a_recording_that_stands_still_tells_nothing() -> None:
     pytest.importorskip("pycolmap")
-    image = prgbd.core.testing.conformance.planar_scene(1)[0].image
+    image = planar_scene(1)[0].image
     with pytest.raises(SlamError, match=r"could not estimate the camera of still.*data\.fov"):
         estimate_camera(lambda i: image, 6, "still")
 
