@@ -17,7 +17,10 @@ from prgbd.plugins.data._depth_files import DepthFormat, DepthReader
 from prgbd.plugins.data._images import common_levels, read_image
 
 ARCHIVES = (".zip", ".tgz", ".tar.gz", ".tar")
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ogv", ".wmv")
+VIDEO_SUFFIXES = (
+    *(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".m2ts", ".ts", ".ogv", ".wmv", ".flv"),
+    *(".3gp", ".gif", ".mjpg", ".mjpeg", ".h264", ".hevc"),
+)
 
 
 @dataclass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from prgbd.plugins.data._camera import known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES, list_images, read_image
 from prgbd.plugins.data._order import in_order
 from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, frame_range
+from prgbd.plugins.data._repeats import without_repeats
 from prgbd.plugins.data._times import read_times
 
 DEFAULT_RATE = 30.0  # frames per second
@@ -41,6 +42,7 @@ class ImagesSequence(FileSequence):
         start: First frame.
         stop: Frame to stop before; None for the end.
         step: Take every ``step``-th frame.
+        repeats: What happens to frames that repeat the one before, "leave_out" or "keep".
 
     Raises:
         ConfigError: If an option has a value that cannot work.
@@ -58,6 +60,7 @@ class ImagesSequence(FileSequence):
         start: int = 0,
         stop: int | None = None,
         step: int = 1,
+        repeats: Literal["leave_out", "keep"] = "leave_out",
     ) -> None:
         if fps is not None and not (np.isfinite(fps) and fps > 0):
             raise ConfigError(f"The option data.fps is {fps}; it must be positive.")
@@ -77,8 +80,10 @@ class ImagesSequence(FileSequence):
             camera, fov, folder / "camera.yaml", folder, lambda i: read_image(images[span[i]]), len(span)
         )
         self.remarks = (said,) if said else ()
-        files = Files(images, stamps)
-        super().__init__(safe_name(folder.resolve().name), pinhole, files, start, stop, step)
+        stay = without_repeats(lambda i: read_image(images[chosen[i]]), len(chosen), str(folder), repeats)
+        keep = np.array(chosen)[stay]
+        files = Files([images[i] for i in keep], stamps[keep])
+        super().__init__(safe_name(folder.resolve().name), pinhole, files)
 
     @classmethod
     def available(cls, **options: Any) -> list[str | None]:

@@ -1,12 +1,12 @@
-"""Any video file that OpenCV reads as a recording."""
+"""Any video file that FFmpeg reads as a recording."""
 
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.types import Frame
+from prgbd.core.types import Frame, PinholeCamera
 from prgbd.io.naming import safe_name
+from prgbd.io.reading import require_file, visible
 from prgbd.plugins.data._camera import Undistorter, known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES as IMAGE_SUFFIXES
-from prgbd.plugins.data._mp4 import frame_times
 from prgbd.plugins.data._recording import VIDEO_SUFFIXES, check_index, choose, frame_range
+from prgbd.plugins.data._repeats import without_repeats
+from prgbd.plugins.data._video_reader import VideoReader
 
 log = logging.getLogger("prgbd")
 
-SKIP = 48  # up to so many frames are decoded and dropped rather than sought
-UNEVEN = 2e-3  # seconds by which frames may last unequally long
-PROBE = 12  # frame by which seeking is tested
-
 
 class VideoSequence(Sequence):
-    """A video file. Frames read in order are decoded once; others are sought if the file's seeking proves exact.
+    """A video file. Every frame is identified by the packet that it was decoded from, in whatever order it is read.
+
+    Pictures come out as players show them: upright and with square pixels.
 
     Args:
         root: The video file, or a folder of them.
@@ -39,10 +39,11 @@ class VideoSequence(Sequence):
             ``colmap``). It belongs to the video's own size.
         fov: Horizontal field of view in degrees, instead of ``camera``.
         width: Pixels of width to shrink the images to; None leaves them as they are.
-        fps: Frames per second; None takes the file's, and the times of its frames where they are listed (MP4, MOV).
+        fps: Frames per second; None takes the times of the frames from the file.
         start: First frame.
         stop: Frame to stop before; None for the end.
         step: Take every ``step``-th frame.
+        repeats: What happens to frames that repeat the one before, "leave_out" or "keep".
 
     Raises:
         ConfigError: If an option has a value that cannot work.
@@ -60,30 +61,24 @@ class VideoSequence(Sequence):
         start: int = 0,
         stop: int | None = None,
         step: int = 1,
+        repeats: Literal["leave_out", "keep"] = "leave_out",
     ) -> None:
-        self._path = _find(Path(root).expanduser(), sequence)
-        self._reader = _Reader(self._path)
-        first = self._reader.read(0)
-        rate = self._reader.rate if fps is None else fps
-        if not (np.isfinite(rate) and rate > 0):
-            raise ConfigError(
-                f"The frame rate of {self._path} is {rate:g}; set the option data.fps to its frames per second."
-            )
-        self.name = safe_name(self._path.stem)
-        count = self._reader.count()
-        self._chosen = frame_range(count, start, stop, step, self.name)
-        beside = self._path.with_suffix(".camera.yaml")
-        span = range(self._chosen[0], self._chosen[-1] + 1)
-        pinhole = known_or_estimated(camera, fov, beside, self._path, lambda i: self._reader.read(span[i]), len(span))
-        self._size = _shrunk(width, first.shape[1], first.shape[0])
+        root = Path(root).expanduser()
+        self._path = _find(root, sequence)
+        self.name = _name(self._path, root)
+        self._reader = VideoReader(self._path)
+        times = _times(self._reader, fps, self._path)
+        chosen = self._range(start, stop, step)
+        pinhole = self._camera(camera, fov, range(chosen[0], chosen[-1] + 1))
+        self._size = _shrunk(width, *self._reader.size)
         pinhole = pinhole.resized(*self._size)
-        self._full = first.shape
         self.camera = pinhole.undistorted()
         self._undistorter = Undistorter(pinhole)
-        times = np.arange(count) / rate
-        if fps is None and self._reader.times is not None and len(self._reader.times) >= count:
-            times = self._reader.times[:count]
-        self.timestamps = np.array(times[np.array(self._chosen)], np.float64)
+        stay = without_repeats(
+            lambda i: self._reader.read(chosen[i]), len(chosen), str(self._path), repeats, self._cheap(chosen)
+        )
+        self._chosen = np.array(chosen)[stay]
+        self.timestamps = np.array(times[self._chosen], np.float64)
 
     @classmethod
     def available(cls, **options: Any) -> list[str | None]:
@@ -99,144 +94,72 @@ class VideoSequence(Sequence):
         """Decode a frame.
 
         Raises:
-            DataError: If the video ends before or the frame is damaged; the message names file and frame.
+            DataError: If the frame is damaged, or of another size than the first; the message names file and frame.
             IndexError: If the index is out of range.
         """
         check_index(index, len(self), self.name)
-        image = self._reader.read(self._chosen[index])
-        if image.shape != self._full:
-            raise DataError(
-                f"Frame {self._chosen[index]} of {self._path} has another size than the first; cut the video."
-            )
+        image = self._reader.read(int(self._chosen[index]))
         if self._size != (image.shape[1], image.shape[0]):
             image = np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
         return Frame(index, float(self.timestamps[index]), self._undistorter.image(image))
 
+    def _range(self, start: int, stop: int | None, step: int) -> range:
+        """Return the chosen frames; those at the end of the file that cannot be decoded do not count."""
+        chosen = frame_range(len(self._reader), start, stop, step, self.name)
+        if self._reader.can_decode(chosen[-1]):
+            return chosen
+        end = self._reader.decodable()
+        if not 0 < end <= chosen[-1]:  # damage in the middle is named by the run, where it comes to it
+            return chosen
+        log.warning(
+            "The last %d frame(s) of %s cannot be decoded and are left out.", len(self._reader) - end, self._path
+        )
+        return frame_range(end, start, stop, step, self.name)
 
-class _Reader:
-    """Reads frames of a file by number. A copy in another process opens the file for itself."""
+    def _camera(self, camera: str | Path | Mapping[str, Any] | None, fov: float | None, span: range) -> PinholeCamera:
+        """Return the camera of the pictures, which have square pixels, and say so where the file's have not."""
+        size, stored = self._reader.size, self._reader.stored
+        beside = self._path.with_suffix(".camera.yaml")
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._capture: Any = None
-        self._owner = 0
-        self._next = 0
-        self._last: tuple[int, NDArray[np.uint8]] | None = None
-        self._seeks: bool | None = None
-        self._count: int | None = None
-        self.times = frame_times(path)
-        self._even = self.times is None or len(self.times) < 3 or bool(np.ptp(np.diff(self.times)) < UNEVEN)
-        self.rate = float(self._open().get(cv2.CAP_PROP_FPS))
+        def known(image: Callable[[int], NDArray[np.uint8]]) -> PinholeCamera:
+            return known_or_estimated(camera, fov, beside, self._path, image, len(span)).resized(*size)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_capture": None, "_last": None}
+        if size == stored:
+            return known(lambda i: self._reader.read(span[i]))
+        log.warning(
+            "The pixels of %s are not square: its pictures of %dx%d are scaled to %dx%d. A camera file may be that of "
+            "either size.",
+            *(self._path, *stored, *size),
+        )
+        found = []
+        if fov is None and (camera is not None or beside.is_file()):
+            blank = np.zeros((stored[1], stored[0], 3), np.uint8)
+            with suppress(DataError):  # it is of the scaled pictures
+                found.append(known(lambda _: blank))
+            with suppress(DataError):
+                found.append(known(lambda i: self._reader.read(span[i])))
+        # Without a size in the file, it is that at which the pixels come out square.
+        return min(found, key=_skew) if found else known(lambda i: self._reader.read(span[i]))
 
-    def read(self, number: int) -> NDArray[np.uint8]:
-        """Return frame ``number``, (H, W, 3) uint8 RGB.
+    def _cheap(self, chosen: range) -> Callable[[int], int]:
+        """Return a function that tells the chosen frame nearest to a given one that is cheap to begin at."""
+        return lambda i: max(0, -((chosen.start - self._reader.cheap_start(chosen[i])) // chosen.step))
 
-        Raises:
-            DataError: If it cannot be decoded.
-        """
-        if self._capture is None or self._owner != os.getpid():
-            # A file position shared between processes would mix up their frames.
-            self._open()
-        if self._last is not None and self._last[0] == number:
-            return self._last[1].copy()
-        self._go_to(number)
-        done, image = self._capture.read()
-        if not done or image is None:
-            self._capture = None
-            if number == 0:
-                raise DataError(f"{self._path} has no frame that can be decoded; convert it, e.g. to MP4.")
-            raise DataError(
-                f"Frame {number} of {self._path} cannot be decoded; the file is damaged or shorter than it says: set "
-                f"data.stop to {number} or less."
-            )
-        self._next = number + 1
-        rgb = np.ascontiguousarray(_three_channels(image)[..., ::-1])
-        self._last = (number, rgb)
-        return rgb.copy()
 
-    def count(self) -> int:
-        """Return the number of frames that can be decoded.
+def _times(reader: VideoReader, fps: float | None, path: Path) -> NDArray[np.float64]:
+    """Return the time of every frame in seconds."""
+    if fps is None and reader.index.timed:
+        return reader.index.times
+    rate = reader.index.rate if fps is None else fps
+    if not (np.isfinite(rate) and rate > 0):
+        raise ConfigError(f"The frame rate of {path} is {rate:g}; set the option data.fps to its frames per second.")
+    if fps is None:
+        log.warning("%s does not say when its frames were taken; set data.fps if it is not %g a second.", path, rate)
+    return np.arange(len(reader)) / rate
 
-        What the container says is taken if the last of these frames can be read; otherwise they are counted.
-        """
-        if self._count is None:
-            self._count = self._counted()
-        return self._count
 
-    def _counted(self) -> int:
-        claimed = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if claimed > 0 and self._can_seek():
-            try:
-                self.read(claimed - 1)
-                return claimed
-            except DataError:
-                pass
-        self._open()
-        number = 0
-        while self._capture.grab():
-            number += 1
-        self._open()
-        if claimed > number:
-            log.warning("%s says it has %d frames, but ends after %d.", self._path, claimed, number)
-        return number
-
-    def _open(self) -> Any:
-        """Open the file anew at its first frame and return it."""
-        self._capture = None
-        capture = cv2.VideoCapture(str(self._path))
-        if not capture.isOpened():
-            raise DataError(f"{self._path} is no video that OpenCV can read, or is truncated; convert it, e.g. to MP4.")
-        self._capture, self._owner, self._next, self._last = capture, os.getpid(), 0, None
-        return capture
-
-    def _go_to(self, number: int) -> None:
-        """Bring the file to where the next decoded frame is ``number``."""
-        if not 0 <= number - self._next <= SKIP:
-            if self._can_seek():
-                self._seek(number)
-            elif number < self._next:
-                self._open()
-        while self._next < number and self._capture.grab():
-            self._next += 1
-
-    def _seek(self, number: int) -> None:
-        """Bring the file to frame ``number``, or to one before it where frames last unequally long.
-
-        OpenCV seeks by time at the mean frame rate, so where it came out is read off the next frame's time.
-        """
-        if self._even or self.times is None:
-            self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-            self._next = number
-            return
-        for back in (2, 60):
-            self._capture.set(cv2.CAP_PROP_POS_FRAMES, max(0, round(self.times[number] * self.rate) - back))
-            if not self._capture.grab():
-                continue
-            at = int(np.argmin(np.abs(self.times - self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)))
-            if at < number:
-                self._next = at + 1
-                return
-        self._open()
-
-    def _can_seek(self) -> bool:
-        """Test once whether a sought frame equals the same frame decoded in order."""
-        if self._seeks is None:
-            probe = cv2.VideoCapture(str(self._path))
-            frames = []
-            for _ in range(PROBE):
-                done, image = probe.read()
-                if not done:
-                    break
-                frames.append(image)
-            number = len(frames) // 2
-            probe.set(cv2.CAP_PROP_POS_FRAMES, number)
-            done, image = probe.read()
-            self._seeks = bool(frames) and done and np.array_equal(image, frames[number])
-            probe.release()
-        return self._seeks
+def _skew(camera: PinholeCamera) -> float:
+    return float(abs(np.log(camera.fx / camera.fy)))
 
 
 def _shrunk(width: int | None, full_width: int, full_height: int) -> tuple[int, int]:
@@ -250,24 +173,24 @@ def _shrunk(width: int | None, full_width: int, full_height: int) -> tuple[int, 
     return width, max(1, round(full_height * width / full_width))
 
 
-def _three_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
-
-
 def _videos(folder: Path) -> list[str]:
-    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)
+    found = [path.name for path in visible(folder, VIDEO_SUFFIXES)]
     if not found:
-        images = any(p.suffix.lower() in IMAGE_SUFFIXES for p in folder.iterdir())
-        mend = "take data=images for its images" if images else "check the option data.root"
+        mend = "take data=images for its images" if visible(folder, IMAGE_SUFFIXES) else "check the option data.root"
         raise DataError(f"The folder {folder} has no videos ({', '.join(VIDEO_SUFFIXES[:4])}, ...); {mend}.")
     return found
+
+
+def _name(path: Path, root: Path) -> str:
+    """Return a name that no other video of the folder has, though it may differ in its suffix alone."""
+    alike = root.is_dir() and [Path(name).stem for name in _videos(root)].count(path.stem) > 1
+    return safe_name(path.name if alike else path.stem)
 
 
 def _find(root: Path, sequence: str | None) -> Path:
     if root.is_dir():
         return root / choose(sequence, _videos(root), root)
-    if not root.is_file():
-        raise DataError(f"There is no video file {root}; check the option data.root.")
+    require_file(root, "the video of data.root")
     if sequence is not None and sequence not in (root.name, root.stem):
         raise DataError(f"There is no sequence '{sequence}' in the single video {root}; leave data.sequences empty.")
     return root

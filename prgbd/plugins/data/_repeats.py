@@ -1,0 +1,111 @@
+"""Frames that repeat the one before, as where a recording of 30 Hz was put into a file of 60."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prgbd.core.errors import ConfigError, DataError
+
+log = logging.getLogger("prgbd")
+
+STRETCHES, LENGTH = 5, 13  # of consecutive frames that are looked at first
+WIDTH = 160  # pixels of the grey pictures that are compared
+MOVES = 1.0  # mean grey levels by which pictures differ at least where the camera moves
+STANDS = 0.12  # of the change before and after it: a frame that changes less repeats the one before
+LONGEST = 5  # repeats in a row; where the picture stands for longer, the camera stands
+SHARE = 0.3  # of the frames repeat at least; a camera that is late now and then repeats fewer, which does little harm
+
+CHOICES = ("leave_out", "keep")
+
+Read = Callable[[int], NDArray[np.uint8]]
+
+
+def without_repeats(
+    read: Read, count: int, where: str, repeats: str, place: Callable[[int], int] | None = None
+) -> NDArray[np.int64]:
+    """Return the frames of a recording that do not repeat the one before, and say how many are left out.
+
+    A few short stretches are looked at first; the whole recording is read only if frames repeat there.
+
+    Args:
+        read: Returns a frame, (H, W, 3) uint8 RGB.
+        count: Number of frames.
+        where: The recording, for messages.
+        repeats: "leave_out" or "keep".
+        place: Returns a frame near the given one from which reading in order is cheap; None if all are.
+
+    Raises:
+        ConfigError: If ``repeats`` is neither.
+    """
+    if repeats not in CHOICES:
+        raise ConfigError(f"data.repeats={repeats} is unknown; choose from {', '.join(CHOICES)}.")
+    every = np.arange(count)
+    if repeats == "keep" or count < LENGTH:
+        return every
+    starts = np.unique(np.linspace(0, count - LENGTH, STRETCHES).astype(int))
+    starts = np.unique([start if place is None else place(int(start)) for start in starts])
+    marks = [repeated(_changes(read, range(start, min(start + LENGTH, count)))) for start in starts]
+    if np.mean(np.concatenate(marks)) < SHARE / 2:  # the stretches are few
+        return every
+    stay = ~repeated(_changes(read, range(count)))
+    left_out = int(np.count_nonzero(~stay))
+    if left_out < SHARE * count:
+        return every
+    log.warning(
+        "%d of the %d frames of %s repeat the one before, as where a recording was converted to a higher frame rate: "
+        "they are left out (data.repeats=keep keeps them).",
+        left_out,
+        count,
+        where,
+    )
+    return every[stay]
+
+
+def repeated(changes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which frames repeat the one before.
+
+    The picture must stand for a few frames only, and move right before and behind: a camera that stands, slows down
+    or moves slowly repeats nothing.
+
+    Args:
+        changes: (N,) mean grey levels by which each frame differs from the one before, NaN where that is not known.
+
+    Returns:
+        (N,).
+    """
+    marks = np.zeros(len(changes), bool)
+    changes = np.append(changes, np.inf)  # beyond the first and the last frame nothing is known: let it move
+    changes[0] = np.inf
+    for before, after in itertools.pairwise(np.flatnonzero(changes >= MOVES)):
+        run = changes[before + 1 : after]
+        bound = min(changes[before], changes[after])
+        if 1 <= len(run) <= LONGEST and np.isfinite(bound) and np.all(run < STANDS * bound):
+            marks[before + 1 : after] = True
+    return marks
+
+
+def _changes(read: Read, frames: range) -> NDArray[np.float64]:
+    """Mean grey levels between neighbours, (len(frames),), NaN for the first and where a frame cannot be read."""
+    changes = np.full(len(frames), np.nan)
+    last = None
+    for at, number in enumerate(frames):
+        try:
+            grey = _small(read(number))
+        except DataError:  # the run itself will name it
+            grey = None
+        if grey is not None and last is not None and grey.shape == last.shape:
+            changes[at] = float(cv2.absdiff(grey, last).mean())
+        last = grey
+    return changes
+
+
+def _small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height = max(1, round(image.shape[0] * WIDTH / image.shape[1]))
+    small = cv2.resize(image, (WIDTH, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), np.uint8)
