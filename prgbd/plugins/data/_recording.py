@@ -15,6 +15,7 @@ from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data._camera import Undistorter
 from prgbd.plugins.data._depth_files import DepthFormat, DepthReader
 from prgbd.plugins.data._images import common_levels, read_image
+from prgbd.plugins.data._repeats import without_repeats
 
 ARCHIVES = (".zip", ".tgz", ".tar.gz", ".tar")
 VIDEO_SUFFIXES = (
@@ -43,8 +44,8 @@ class Files:
     poses: NDArray[np.float64] | None = None
     depth_format: DepthFormat = field(default_factory=DepthFormat)
 
-    def chosen(self, keep: range) -> Files:
-        """Return the frames of a range."""
+    def chosen(self, keep: range | NDArray[np.int64]) -> Files:
+        """Return the frames of these numbers."""
         index = np.array(keep)
         return Files(
             [self.images[i] for i in keep],
@@ -91,6 +92,13 @@ class FileSequence(Sequence):
         if len(bad) or not np.isfinite(self.timestamps).all():
             where = f" behind {self._files.images[bad[0]].name}" if len(bad) else ""
             raise DataError(f"The time stamps of the recording '{name}' do not ascend{where}; check its list of times.")
+
+    def leave_out_repeats(self, repeats: str) -> None:
+        """Drop the frames that repeat the one before, unless ``repeats`` is "keep"."""
+        stay, said = without_repeats(lambda i: self.frame(i).image, len(self), self.name, repeats)
+        self._files = self._files.chosen(stay)
+        self.timestamps = self.timestamps[stay]
+        self.remarks = (*self.remarks, *said)
 
     @property
     def poses(self) -> NDArray[np.float64] | None:

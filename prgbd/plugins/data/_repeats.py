@@ -28,8 +28,8 @@ Read = Callable[[int], NDArray[np.uint8]]
 
 def without_repeats(
     read: Read, count: int, where: str, repeats: str, place: Callable[[int], int] | None = None
-) -> NDArray[np.int64]:
-    """Return the frames of a recording that do not repeat the one before, and say how many are left out.
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Return the frames of a recording that do not repeat the one before, and clauses that say what is left out.
 
     A few short stretches are looked at first; the whole recording is read only if frames repeat there.
 
@@ -47,16 +47,16 @@ def without_repeats(
         raise ConfigError(f"data.repeats={repeats} is unknown; choose from {', '.join(CHOICES)}.")
     every = np.arange(count)
     if repeats == "keep" or count < LENGTH:
-        return every
+        return every, ()
     starts = np.unique(np.linspace(0, count - LENGTH, STRETCHES).astype(int))
     starts = np.unique([start if place is None else place(int(start)) for start in starts])
     marks = [repeated(_changes(read, range(start, min(start + LENGTH, count)))) for start in starts]
     if np.mean(np.concatenate(marks)) < SHARE / 2:  # the stretches are few
-        return every
+        return every, ()
     stay = ~repeated(_changes(read, range(count)))
     left_out = int(np.count_nonzero(~stay))
     if left_out < SHARE * count:
-        return every
+        return every, ()
     log.warning(
         "%d of the %d frames of %s repeat the one before, as where a recording was converted to a higher frame rate: "
         "they are left out (data.repeats=keep keeps them).",
@@ -64,7 +64,7 @@ def without_repeats(
         count,
         where,
     )
-    return every[stay]
+    return every[stay], (f"{left_out} repeated frames left out",)
 
 
 def repeated(changes: NDArray[np.float64]) -> NDArray[np.bool_]:

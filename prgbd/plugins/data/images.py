@@ -16,7 +16,6 @@ from prgbd.plugins.data._camera import known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES, list_images, read_image
 from prgbd.plugins.data._order import in_order
 from prgbd.plugins.data._recording import Files, FileSequence, choose, existing_root, frame_range
-from prgbd.plugins.data._repeats import without_repeats
 from prgbd.plugins.data._times import read_times
 
 DEFAULT_RATE = 30.0  # frames per second
@@ -80,10 +79,8 @@ class ImagesSequence(FileSequence):
             camera, fov, folder / "camera.yaml", folder, lambda i: read_image(images[span[i]]), len(span)
         )
         self.remarks = (said,) if said else ()
-        stay = without_repeats(lambda i: read_image(images[chosen[i]]), len(chosen), str(folder), repeats)
-        keep = np.array(chosen)[stay]
-        files = Files([images[i] for i in keep], stamps[keep])
-        super().__init__(safe_name(folder.resolve().name), pinhole, files)
+        super().__init__(safe_name(folder.resolve().name), pinhole, Files(images, stamps), start, stop, step)
+        self.leave_out_repeats(repeats)
 
     @classmethod
     def available(cls, **options: Any) -> list[str | None]:

@@ -74,7 +74,7 @@ class VideoSequence(Sequence):
         pinhole = pinhole.resized(*self._size)
         self.camera = pinhole.undistorted()
         self._undistorter = Undistorter(pinhole)
-        stay = without_repeats(
+        stay, self.remarks = without_repeats(
             lambda i: self._reader.read(chosen[i]), len(chosen), str(self._path), repeats, self._cheap(chosen)
         )
         self._chosen = np.array(chosen)[stay]
@@ -190,6 +190,8 @@ def _name(path: Path, root: Path) -> str:
 def _find(root: Path, sequence: str | None) -> Path:
     if root.is_dir():
         return root / choose(sequence, _videos(root), root)
+    if not root.exists():
+        raise DataError(f"There is no video file {root}; check the option data.root.")
     require_file(root, "the video of data.root")
     if sequence is not None and sequence not in (root.name, root.stem):
         raise DataError(f"There is no sequence '{sequence}' in the single video {root}; leave data.sequences empty.")
