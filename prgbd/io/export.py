@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -16,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.errors import ConfigError, DataError, PrgbdError
 from prgbd.core.types import Frame, Keyframes, MapPoints, Observations, PinholeCamera, SlamResult, Trajectory
+from prgbd.core.validation import check_poses
+from prgbd.io.arrays import TEXT, Entry, read_arrays
 from prgbd.io.files import atomic_path, to_plain, write_json
 from prgbd.io.trajectory_files import write_kitti, write_tum
 
@@ -25,6 +25,32 @@ FORMAT = 1
 FORMATS = ("tum", "kitti", "ply", "colmap", "colmap_images")
 DEFAULT_FORMATS = ("tum", "kitti", "ply")
 CAMERA_COLOUR = (255, 128, 0)
+
+
+def _trajectory(count: str, *, required: bool = True) -> dict[str, Entry]:
+    return {
+        "frame_index": Entry("iu", (count,), required=required),
+        "timestamp": Entry("fiu", (count,), required=required),
+        "wTc": Entry("f", (count, 4, 4), required=required),
+    }
+
+
+RESULT = {
+    "header": TEXT,
+    "states": Entry("U", ("frames",)),
+    "inliers": Entry("iu", ("frames",), 0),
+    **{f"trajectory.{name}": entry for name, entry in _trajectory("poses").items()},
+    **{f"online.{name}": entry for name, entry in _trajectory("online poses", required=False).items()},
+    **{f"keyframes.{name}": entry for name, entry in _trajectory("keyframes").items()},
+    "keyframes.map_id": Entry("iu", ("keyframes",)),
+    "points.xyz": Entry("f", ("points", 3)),
+    "points.rgb": Entry("u", ("points", 3), 0, 255),
+    "observations.keyframe": Entry("iu", ("observations",), 0, below="keyframes"),
+    "observations.point": Entry("iu", ("observations",), 0, below="points"),
+    "observations.uv": Entry("f", ("observations", 2)),
+    "observations.depth": Entry("f", ("observations",)),
+}
+"""What ``save_arrays`` writes, by name."""
 
 
 def save_arrays(result: SlamResult, path: Path | str) -> None:
@@ -70,19 +96,23 @@ def load_result(path: Path | str) -> SlamResult:
         path = path / "result.npz"
     if not path.is_file():
         raise DataError(f"There is no SLAM result {path}; run SLAM first.")
+    arrays = read_arrays(path, RESULT, "SLAM result")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return _result_from(arrays)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise DataError(f"{path} is not a whole SLAM result; delete it and run SLAM again.") from error
+        result = _result_from(arrays)
+        for trajectory in filter(None, (result.trajectory, keyframe_trajectory(result.keyframes), result.online)):
+            check_poses(trajectory.wTc, trajectory.frame_index, "It")
+        return result
+    except (PrgbdError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise DataError(f"{path} is not a whole SLAM result ({error}); delete it and run SLAM again.") from error
 
 
 def _result_from(arrays: dict[str, NDArray[Any]]) -> SlamResult:
     header = json.loads(str(arrays["header"]))
     if header["format"] != FORMAT:
         raise ValueError(f"format {header['format']} instead of {FORMAT}")
-    camera = header["camera"]
+    camera, mode, frames, stats = (header[name] for name in ("camera", "mode", "frames", "stats"))
+    if frames != len(arrays["states"]) or not isinstance(mode, str) or not isinstance(stats, dict):
+        raise ValueError("its header does not fit its columns")
 
     def part(prefix: str) -> dict[str, NDArray[Any]]:
         return {k.split(".", 1)[1]: v for k, v in arrays.items() if k.startswith(prefix + ".")}
@@ -90,8 +120,8 @@ def _result_from(arrays: dict[str, NDArray[Any]]) -> SlamResult:
     online = part("online")
     return SlamResult(
         camera=PinholeCamera(**{**camera, "distortion": tuple(camera["distortion"])}),
-        mode=header["mode"],
-        frames=header["frames"],
+        mode=mode,
+        frames=frames,
         trajectory=Trajectory(**part("trajectory")),
         keyframes=Keyframes(**part("keyframes")),
         points=MapPoints(**part("points")),
@@ -99,7 +129,7 @@ def _result_from(arrays: dict[str, NDArray[Any]]) -> SlamResult:
         states=[str(s) for s in arrays["states"]],
         inliers=arrays["inliers"],
         online=Trajectory(**online) if online else None,
-        stats=header["stats"],
+        stats=stats,
     )
 
 

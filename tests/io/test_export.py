@@ -230,5 +230,5 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match=r"file cannot be made \(File exists\)"):
         save_result(make_result(), tmp_path / "file")
-    with pytest.raises(DataError, match="file is not a whole SLAM result; delete it"):
+    with pytest.raises(DataError, match="file is not a whole SLAM result"):
         load_result(tmp_path / "file")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -12,17 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.errors import ConfigError
 from prgbd.core.types import PinholeCamera
 from prgbd.io.files import atomic_path, to_plain
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.map.columns import Columns
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.map_correction import follow_baseline
+from prgbd.plugins.slam.orb_gtsam.map.map_schema import FORMAT, KIND, MapHeader, read_columns, read_header
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
-KIND = "prgbd orb_gtsam map"
-FORMAT = 1
 # Rebuilt from the other columns when a map is read.
 _LINKS = ("following", "head")
 # Columns that hold numbers of keyframes or points.
@@ -92,20 +89,18 @@ def load_map(slam_map: Map, camera: CameraModel, path: Path | str) -> None:
         path: The file.
 
     Raises:
-        DataError: If the file is missing, truncated, or no map of this version.
+        DataError: If the file is missing, damaged, or no map of this version.
         ConfigError: If the map was made with another camera, mode or pyramid, or has keyframes with more keypoints.
     """
     path = Path(path)
-    header, arrays = _read(path)
-    _require_fit(path, header, arrays, slam_map, camera)
-    try:
-        _fill(slam_map, arrays)
-    except (KeyError, ValueError, IndexError) as error:
-        raise DataError(f"The map {path} does not hold together ({error}); save it again.") from error
-    refined = header["camera"]
-    camera.pinhole = replace(camera.pinhole, fx=refined["fx"], fy=refined["fy"])
+    header = read_header(path)
+    _require_fit(path, header, camera)
+    arrays = read_columns(path, header, slam_map.keyframes.cell_start.shape[1] - 1)
+    _require_room(path, arrays["keyframes.size"], slam_map)
+    _fill(slam_map, arrays)
+    camera.pinhole = replace(camera.pinhole, fx=header.camera.fx, fy=header.camera.fy)
     kf = slam_map.keyframes
-    if header["mode"] != "mono" and header["baseline"] != camera.baseline:
+    if header.mode != "mono" and header.baseline != camera.baseline:
         follow_baseline(slam_map, camera)
     kf.frame_index[: kf.count] = np.where(
         kf.frame_index[: kf.count] >= 0, -1 - kf.frame_index[: kf.count], kf.frame_index[: kf.count]
@@ -127,8 +122,6 @@ def _fill(slam_map: Map, arrays: dict[str, NDArray[Any]]) -> None:
     used = np.arange(slam_map.capacity) < size[:, None]
     point = np.full(used.shape, -1, np.int64)
     point[used] = arrays["keypoints.point"]
-    if point.max(initial=-1) >= pts.count:
-        raise ValueError("a keyframe observes a point that does not exist")
     for kind, columns in (("keyframes", kf), ("keypoints", kf), ("points", pts)):
         for name in _stored(columns):
             stored, column = arrays.get(f"{kind}.{name}"), getattr(columns, name)[: columns.count]
@@ -170,47 +163,25 @@ def _is_keypoint_column(name: str, column: NDArray[Any], capacity: int) -> bool:
     return name not in _PER_KEYFRAME and column.ndim >= 2 and column.shape[1] == capacity
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    if not path.is_file():
-        raise DataError(f"There is no map {path}; make one with slam.save_map.")
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            header = json.loads(str(archive["header"]))
-            if header.get("kind") != KIND:
-                raise KeyError("kind")
-            found = header["format"]
-            if found != FORMAT:
-                raise DataError(
-                    f"The map {path} has format {found}, and this version of prgbd reads format {FORMAT}; "
-                    "save it again with this version."
-                )
-            return header, {name: archive[name] for name in archive.files if name != "header"}
-    except (OSError, ValueError, KeyError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise DataError(
-            f"{path} is not a whole map of orb_gtsam ({type(error).__name__}: {error}); save it again with "
-            "slam.save_map."
-        ) from error
-
-
-def _require_fit(
-    path: Path, header: dict[str, Any], arrays: dict[str, NDArray[Any]], slam_map: Map, camera: CameraModel
-) -> None:
-    then, now = header["given_camera"], camera.pinhole.to_dict()
+def _require_fit(path: Path, header: MapHeader, camera: CameraModel) -> None:
+    then, now = header.given_camera, camera.pinhole
     names = ("width", "height", "fx", "fy", "cx", "cy")
-    if any(abs(then[name] - now[name]) > _PIXELS for name in names):
+    if any(abs(getattr(then, name) - getattr(now, name)) > _PIXELS for name in names):
         shown = " and ".join(
-            f"{c['width']}x{c['height']} fx={c['fx']:g} fy={c['fy']:g} cx={c['cx']:g} cy={c['cy']:g}"
-            for c in (then, now)
+            f"{c.width}x{c.height} fx={c.fx:g} fy={c.fy:g} cx={c.cx:g} cy={c.cy:g}" for c in (then, now)
         )
         raise ConfigError(f"The map {path} and the recording have different cameras, {shown}; use the same camera.")
     mode = camera.mode
-    if header["mode"] != mode:
-        raise ConfigError(f"The map {path} was made in mode {header['mode']}, not {mode}; set slam.mode to the same.")
-    if not np.array_equal(header["scales"], camera.scales):
-        scales = header["scales"]
+    if header.mode != mode:
+        raise ConfigError(f"The map {path} was made in mode {header.mode}, not {mode}; set slam.mode to the same.")
+    if not np.array_equal(header.scales, camera.scales):
+        scales = header.scales
         factor = f" and slam.features.scale_factor={scales[1]:g}" if len(scales) > 1 else ""
         raise ConfigError(f"The map {path} was made with slam.features.levels={len(scales)}{factor}; set the same.")
-    most = int(arrays["keyframes.size"].max(initial=0)) if "keyframes.size" in arrays else 0
+
+
+def _require_room(path: Path, size: NDArray[np.int64], slam_map: Map) -> None:
+    most = int(size.max(initial=0))
     if most > slam_map.capacity:
         raise ConfigError(
             f"The map {path} has keyframes with {most} keypoints, more than slam.features.count={slam_map.capacity}; "
