@@ -39,16 +39,19 @@ class PluginPackagesSearchPath(SearchPathPlugin):
 
 
 def conf_folders() -> list[tuple[str, Path]]:
-    """Return (package, folder) of every installed package that brings YAML; a broken package is left out."""
+    """Return (package, folder) of every installed package that brings YAML; none is imported."""
     found: list[tuple[str, Path]] = []
     for entry in metadata.entry_points(group=CONF_GROUP):
+        # Finding a package imports those that it lies in, and that may do anything: only the outermost one is found.
+        outermost, *within = entry.value.split(".")
         try:
-            spec = importlib.util.find_spec(entry.value)
-        except Exception as error:  # a broken package may raise anything, and must not hurt the others
+            spec = importlib.util.find_spec(outermost)
+        except (ImportError, ValueError) as error:
             log.warning("The YAML of %s (%s) could not be found: %s", entry.name, entry.value, error)
             continue
         places = list(spec.submodule_search_locations or ()) if spec is not None else []
-        found.extend((entry.name, Path(place)) for place in places if Path(place).is_dir())
+        folders = [Path(place, *within) for place in places]
+        found.extend((entry.name, folder) for folder in folders if folder.is_dir())
     return found
 
 

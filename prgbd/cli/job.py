@@ -20,6 +20,7 @@ from prgbd.cli.display import Display, complain, log_file, quiet
 from prgbd.cli.options import RunOptions, read_options
 from prgbd.cli.parts import Parts, make_parts
 from prgbd.cli.settings import check_machine, trainer_factory, use_threads
+from prgbd.core.blame import blaming_plugins
 from prgbd.core.errors import PrgbdError
 from prgbd.io.files import atomic_path
 from prgbd.loop.store import CONFIG, DONE, RunStore
@@ -89,7 +90,8 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
         options = read_options(config)
         noted = {**config, META: {**about, "threads": use_threads(options.threads)}}
         check_machine(options, config)
-        parts = make_parts(options)
+        with blaming_plugins():
+            parts = make_parts(options)
         store = RunStore.create(folder, noted)
     except BaseException:
         _remove_empty(folder)
@@ -124,7 +126,8 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
         with _working_folder(store.config.get(META, {}).get("started_in")):
             options = read_options(config)
             use_threads(store.config.get(META, {}).get("threads", options.threads))
-            parts = make_parts(options)
+            with blaming_plugins():
+                parts = make_parts(options)
             display.say(f"Going on with {folder}")
             _run(Job(config, options, parts, store, display, here))
     finally:
@@ -144,8 +147,9 @@ def _run(job: Job) -> None:
     with log_file(folder / "run.log", job.display.console):
         job.display.header(f"prgbd {task}", _facts(job))
         try:
-            _look_at_recordings(job, task)
-            work(job)
+            with blaming_plugins():
+                _look_at_recordings(job, task)
+                work(job)
         except KeyboardInterrupt:
             log.info("Stopped by the user.")
             complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={job.shown(folder)}")

@@ -265,7 +265,7 @@ class Registry:
         if sequences is None:
             spec = self.resolve("data", plugin_id)
             cls = self.load(spec)
-            names: list[Any] = cls.available(**_checked(spec, cls, {**spec.kwargs, **kwargs}))
+            names = _available(spec, cls, _checked(spec, cls, {**spec.kwargs, **kwargs}))
         else:
             names = list(sequences)
         if not names:
@@ -388,6 +388,25 @@ def _checked(spec: PluginSpec, cls: type[Any], arguments: Mapping[str, Any]) -> 
         return checked_arguments(cls, arguments, spec.kind)
     except ConfigError as error:
         raise ConfigError(f"{spec.kind}={spec.id}: {error}") from None
+
+
+def _available(spec: PluginSpec, cls: type[Sequence], options: Mapping[str, Any]) -> list[Any]:
+    """Ask a data set for the names of its recordings."""
+    try:
+        names = cls.available(**options)
+    except PrgbdError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise BrokenPluginError(
+            f"The data plug-in '{spec.id}' ({spec.origin}) could not list its recordings: {type(error).__name__}: "
+            f"{error}; check its options or mend it."
+        ) from error
+    if not isinstance(names, list | tuple) or not all(name is None or isinstance(name, str) for name in names):
+        raise ContractError(
+            f"The data plug-in '{spec.id}' ({spec.origin}) answers a {type(names).__name__} in available; it must be a "
+            "list of names."
+        )
+    return list(names)
 
 
 def _origin(entry: metadata.EntryPoint) -> str:

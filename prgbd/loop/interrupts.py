@@ -20,7 +20,9 @@ def interruptible() -> Iterator[None]:
     try:
         yield
     except SystemExit as end:
-        raise KeyboardInterrupt from end
+        if isinstance(end.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from end
+        raise  # a plug-in's own
     finally:
         if in_main_thread and handler is not None:
             signal.signal(signal.SIGINT, handler)

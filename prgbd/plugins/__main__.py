@@ -137,7 +137,7 @@ def _check(console: Console, spec: PluginSpec, options: dict[str, Any]) -> int:
             check.run()
         except PrgbdError as error:
             complaint = str(error)
-        except Exception as error:  # a plug-in may raise anything; the other checks still tell something
+        except (Exception, SystemExit) as error:  # a plug-in may raise anything; the other checks still tell something
             complaint = f"raised {type(error).__name__}: {error}"
         else:
             console.print(f"  [green]ok[/green]    {escape(check.title)}", highlight=False)

@@ -52,7 +52,14 @@ def damaged(draw: st.DrawFn, arrays: dict[str, np.ndarray]) -> dict[str, np.ndar
             changed[name] = draw(st.sampled_from([*shapes, np.concatenate([shapes[1], shapes[1]])]))
         elif how == "twice":
             changed |= {name: array, f"{name}.{name}": array}
-    return changed
+    return Damaged(changed)
+
+
+class Damaged(dict[str, np.ndarray]):
+    """Arrays by name that do not fill the screen where a test fails."""
+
+    def __repr__(self) -> str:
+        return str({name: (array.dtype, array.shape) for name, array in self.items()})
 
 
 @pytest.fixture(scope="module", params=["rgbd", "mono"])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from prgbd.core.augmentation import Augmentation
 from prgbd.core.criterion import Criterion, Evidence, Verdict
 from prgbd.core.data import Sequence
-from prgbd.core.errors import ConfigError, ContractError, PrgbdError
+from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, PrgbdError
 from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.slam import GeometricSLAM, Listener, SlamView, TrackingResult
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
@@ -34,11 +34,13 @@ from prgbd.core.validation import (
 
 @contextmanager
 def _named(who: str) -> Iterator[None]:
-    """Add to the traceback of an error inside a plug-in which plug-in it was."""
+    """Add to the traceback of an error inside a plug-in which plug-in it was; it cannot end the program."""
     try:
         yield
     except PrgbdError:
         raise
+    except SystemExit as error:
+        raise BrokenPluginError(f"{who} tried to end the program (sys.exit({error.code!r})); mend it.") from error
     except Exception as error:
         error.add_note(f"{who} raised this; mend it, or choose another plug-in.")
         raise
