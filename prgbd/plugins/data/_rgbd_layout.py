@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,31 @@ def read_list(path: Path, what: str) -> tuple[Times, list[Path]]:
     return sorted_by_time(pairs)
 
 
+def read_associations(path: Path, depth: str) -> tuple[Times, list[Path], list[Path]]:
+    """Return the times, colour images and depth files of a list of pairs, in order of time.
+
+    Args:
+        path: The list: lines of a time, a file, a time and a file, colour before depth or the other way round.
+        depth: The folder of the depth files, which tells which is which.
+
+    Raises:
+        DataError: If a line is something else, or there is none.
+    """
+    pairs = []
+    for number, words in text_lines(path, "pairs of images and depth"):
+        times = as_numbers(words[::2])
+        if len(words) != 4 or times is None or not np.isfinite(times).all():
+            raise DataError(f"Line {number} of {path} is not a time, an image, a time and a depth file; mend it.")
+        one, other = (float(times[0]), words[1]), (float(times[1]), words[3])
+        turned = one[1].startswith(f"{depth}/") and not other[1].startswith(f"{depth}/")
+        (time, image), (_, file) = (other, one) if turned else (one, other)
+        pairs.append((time, path.parent / image, path.parent / file))
+    if not pairs:
+        raise DataError(f"{path} lists no pairs; copy the file anew.")
+    pairs.sort(key=lambda pair: pair[0])
+    return np.array([pair[0] for pair in pairs]), [pair[1] for pair in pairs], [pair[2] for pair in pairs]
+
+
 def sorted_by_time(pairs: list[tuple[float, Path]]) -> tuple[Times, list[Path]]:
     """Return times and files in order of time."""
     pairs = sorted(pairs, key=lambda pair: pair[0])
@@ -63,15 +89,21 @@ def depth_of_images(depth_times: Times, depths: list[Path], times: Times, where:
     what = f"the depth images of {where}"
     clock = _said(common_clock(depth_times, times, what))
     partners = _partners(clock.seconds(depth_times), times)
-    found = int(np.count_nonzero(partners >= 0))
-    if found == 0:
+    if (partners < 0).all():
         raise DataError(
             f"None of the {len(times)} images has a depth image within {REACH:g} s. "
             + no_meeting(depth_times, times, what)
         )
-    if found < FEW * len(times):
-        log.warning("Only %d of %d images of %s have a depth image within %g s.", found, len(times), where, REACH)
-    return [None if i < 0 else depths[i] for i in partners]
+    found_files = [None if i < 0 else depths[i] for i in partners]
+    warn_if_few(found_files, where)
+    return found_files
+
+
+def warn_if_few(depths: Sequence[Path | None], where: Path) -> None:
+    """Say so where less than half of the images have depth."""
+    found = sum(path is not None for path in depths)
+    if found < FEW * len(depths):
+        log.warning("Only %d of the %d colour images of %s have a depth image.", found, len(depths), where)
 
 
 def true_poses(path: Path, times: Times) -> NDArray[np.float64] | None:
