@@ -41,8 +41,8 @@ class RgbdSequence(FileSequence):
     """Colour images and depth registered to them, with a camera file: TUM's layout, or two folders of any names.
 
     Colour and depth find each other by a list of pairs (``associations.txt``), by lists of times (``rgb.txt`` and
-    ``depth.txt``, named as the folders are), by the times in their names, by the numbers in them, or by their order where
-    there are as many of one as of the other. Depth is PNG, TIFF, NPY or EXR. True poses are those of
+    ``depth.txt``, named as the folders are), by the times in their names, by the numbers in them, or by their order
+    where there are as many of one as of the other. Depth is PNG, TIFF, NPY or EXR. True poses are those of
     ``groundtruth.txt`` in TUM's format. Images and depth are undistorted.
 
     Args:
