@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 # Failures of the machine that the user can mend; every other OSError is a bug.
-_MENDABLE = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT)
+_MENDABLE = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.ENAMETOOLONG, errno.ELOOP)
 
 # What the run of this process failed with. Hydra would add lines of its own to an exception that passes through it.
 _failures: list[Exception] = []

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from prgbd.core.errors import WeightsError
+from prgbd.core.option_errors import shown
+from prgbd.core.option_ranges import LARGEST_SIDE
 from prgbd.core.tensor_files import write_tensors
 from prgbd.core.types import DepthPrediction
 from prgbd.core.validation import check_image
@@ -143,7 +145,11 @@ def read_state_dict(path: Path) -> dict[str, Any]:
     Raises:
         WeightsError: If the file is missing or not a weight file.
     """
-    if not path.is_file():
+    try:
+        present = path.is_file()
+    except OSError:  # too long a name
+        present = False
+    if not present:
         raise WeightsError(f"There is no weight file {path}; check the option depth.weights.")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -157,12 +163,16 @@ def read_state_dict(path: Path) -> dict[str, Any]:
 
 
 def load_matching(module: nn.Module, state: Mapping[str, Any], path: Path) -> None:
-    """Load ``state`` into ``module``, refusing anything that does not fit exactly.
+    """Load ``state`` into ``module``, refusing anything that does not fit exactly, but for the precision.
 
     Raises:
-        WeightsError: With the first names that are missing, unexpected, or of another shape.
+        WeightsError: With the first names that are missing, unexpected, or of another shape, or with one that holds
+            no weights at all.
     """
     own = module.state_dict()
+    for name, value in state.items():
+        if wrong := _unfit(value, own.get(name)):
+            raise WeightsError(f"{path} has an entry {name} that {wrong}; choose other weights, or fetch them again.")
     missing = [k for k in own if k not in state]
     unexpected = [k for k in state if k not in own]
     shapes = [k for k in own if k in state and tuple(state[k].shape) != tuple(own[k].shape)]
@@ -177,3 +187,28 @@ def load_matching(module: nn.Module, state: Mapping[str, Any], path: Path) -> No
             "choose the weights that belong to the depth plug-in."
         )
     module.load_state_dict(dict(state))
+
+
+def stored_size(entries: Mapping[str, Any], path: Path) -> tuple[int, int] | None:
+    """Return the (height, width) that a weight file was trained with, None if its entries do not say so.
+
+    Raises:
+        WeightsError: If they are no sizes.
+    """
+    if "height" not in entries or "width" not in entries:
+        return None
+    size = entries["height"], entries["width"]
+    if not all(isinstance(side, int) and not isinstance(side, bool) and 0 < side <= LARGEST_SIDE for side in size):
+        raise WeightsError(f"{path} says that its input size is {shown(size)}; fetch it again.")
+    return size
+
+
+def _unfit(value: Any, own: Any) -> str:
+    """Say why an entry of a weight file cannot be a weight, "" if it can."""
+    if not isinstance(value, torch.Tensor) or value.layout != torch.strided or value.is_quantized:
+        return "is no plain tensor"
+    if own is not None and (value.is_floating_point(), value.is_complex()) != (own.is_floating_point(), False):
+        return f"holds {str(value.dtype).removeprefix('torch.')} in place of {str(own.dtype).removeprefix('torch.')}"
+    if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+        return "holds NaN or infinity"
+    return ""

@@ -52,5 +52,6 @@ Share = Annotated[float, Range(0, 1)]
 Count = Annotated[int, Range(1, 10**9)]
 CountOrZero = Annotated[int, Range(0, 10**9)]
 # Pixels along one side of an image.
-Side = Annotated[int, Range(1, 16384)]
+LARGEST_SIDE = 16384
+Side = Annotated[int, Range(1, LARGEST_SIDE)]
 Seed = Annotated[int, Range(0, 2**32 - 1)]

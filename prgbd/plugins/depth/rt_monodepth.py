@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from prgbd.core.depth import DepthEstimator, load_matching, read_state_dict
+from prgbd.core.depth import DepthEstimator, load_matching, read_state_dict, stored_size
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.core.option_ranges import Positive, Seed, Side
 from prgbd.core.tensor_files import write_tensors
@@ -187,5 +187,4 @@ class RTMonoDepth(DepthEstimator):
         extra = {name: state.pop(name) for name in EXTRA if name in state}
         load_matching(self.encoder, state, folder / ENCODER)
         load_matching(self.depth, read_state_dict(folder / DEPTH), folder / DEPTH)
-        if "height" in extra and "width" in extra:
-            self.input_size = (int(extra["height"]), int(extra["width"]))
+        self.input_size = stored_size(extra, folder / ENCODER) or self.input_size

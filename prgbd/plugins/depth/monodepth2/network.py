@@ -155,7 +155,7 @@ class Monodepth2(DepthEstimator):
             raise WeightsError(f"There is no weight file {path}; check the option depth.imagenet_weights.")
         try:
             encoder.load_imagenet(read_state_dict(path))
-        except RuntimeError as error:
+        except (RuntimeError, TypeError, AttributeError) as error:
             raise WeightsError(
                 f"{path} does not hold torchvision's ResNet-18 weights; check the option depth.imagenet_weights."
             ) from error

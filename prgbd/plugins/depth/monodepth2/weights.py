@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import nn
 
-from prgbd.core.depth import load_matching, read_state_dict
+from prgbd.core.depth import load_matching, read_state_dict, stored_size
 from prgbd.core.errors import WeightsError
 from prgbd.core.tensor_files import write_tensors
 from prgbd.io.files import atomic_path
@@ -43,8 +42,7 @@ def read_encoder(folder: Path) -> tuple[dict[str, Any], tuple[int, int] | None]:
     """Read the encoder's entries, and the (height, width) it was trained with where the file says so."""
     state = read_state_dict(folder / ENCODER)
     extra = {name: state.pop(name) for name in EXTRA if name in state}
-    size = (int(extra["height"]), int(extra["width"])) if "height" in extra and "width" in extra else None
-    return state, size
+    return state, stored_size(extra, folder / ENCODER)
 
 
 def load_part(module: nn.Module, state: Mapping[str, Any], path: Path) -> None:
@@ -55,13 +53,7 @@ def load_part(module: nn.Module, state: Mapping[str, Any], path: Path) -> None:
     """
     own = module.state_dict()
     merged = {name: value for name, value in own.items() if name.startswith("encoder.fc.")}
-    for name, value in state.items():
-        if not isinstance(value, torch.Tensor):
-            raise WeightsError(
-                f"{path} has an entry {name} that is no tensor; choose the weights that belong to the depth plug-in."
-            )
-        merged[name] = value.to(own[name].dtype) if name in own else value
-    load_matching(module, merged, path)
+    load_matching(module, {**merged, **state}, path)
 
 
 def write_part(module: nn.Module, path: Path, *, half: bool, extra: Mapping[str, Any] | None = None) -> None:
