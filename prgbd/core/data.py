@@ -26,6 +26,8 @@ class Sequence(ABC):
         camera: The camera of the images that ``frame`` returns.
         timestamps: (N,) float64 seconds, strictly ascending.
         baseline: Metres between left and right camera for stereo recordings, else None.
+        depth_levels_per_metre: Grey levels in one metre of the recording's depth files where that is an option of the
+            same name, else None; messages about a wrong scale say what it should be.
         concurrent: True if ``frame`` may be called by several threads at once, as where every frame is a file.
         remarks: What was understood of the recording where its files do not say it, in clauses that users are shown.
     """
@@ -34,6 +36,7 @@ class Sequence(ABC):
     camera: PinholeCamera
     timestamps: NDArray[np.float64]
     baseline: float | None = None
+    depth_levels_per_metre: float | None = None
     concurrent: bool = False
     remarks: tuple[str, ...] = ()
 

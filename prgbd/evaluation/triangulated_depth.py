@@ -43,15 +43,25 @@ def disagreement(result: SlamResult, seen: Observations) -> tuple[float | None, 
         The mean absolute difference of the logarithms after the median of each keyframe is taken out, and the standard
         deviation of those medians; None without points.
     """
-    points, good = triangulated(result)
-    use = good[seen.point] & (seen.depth > 0)
-    keyframe, measured = seen.keyframe[use], seen.depth[use].astype(np.float64)
-    depth = points_in_camera(result.keyframes.wTc[keyframe], points[seen.point[use]])[:, 2]
-    ahead = depth > 0
-    ratio = np.log(measured[ahead] / depth[ahead])
-    groups = [ratio[rows] for rows in rows_by_group(keyframe[ahead], _FEWEST_POINTS)]
+    ratio, keyframe = _logarithms(result, seen)
+    groups = [ratio[rows] for rows in rows_by_group(keyframe, _FEWEST_POINTS)]
     if not groups:
         return None, None
     medians = [float(np.median(group)) for group in groups]
     residuals = [np.abs(group - median) for group, median in zip(groups, medians, strict=True)]
     return float(np.mean(np.concatenate(residuals))), float(np.std(medians))
+
+
+def triangulated_ratios(result: SlamResult, seen: Observations) -> NDArray[np.float64]:
+    """Return measured over triangulated depth of all observations where both are known, (N,)."""
+    return np.exp(_logarithms(result, seen)[0])
+
+
+def _logarithms(result: SlamResult, seen: Observations) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the logarithms of measured over triangulated depth, (N,), and their keyframes, (N,)."""
+    points, good = triangulated(result)
+    use = good[seen.point] & (seen.depth > 0)
+    keyframe, measured = seen.keyframe[use], seen.depth[use].astype(np.float64)
+    depth = points_in_camera(result.keyframes.wTc[keyframe], points[seen.point[use]])[:, 2]
+    ahead = depth > 0
+    return np.log(measured[ahead] / depth[ahead]), np.asarray(keyframe[ahead], np.int64)

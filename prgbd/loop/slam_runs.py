@@ -12,6 +12,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.errors import DataError
 from prgbd.core.slam import GeometricSLAM, TrackingState
 from prgbd.core.types import Frame, SlamResult
+from prgbd.evaluation.metric_scale import scale_doubts
 from prgbd.evaluation.trajectory import evaluate_trajectory
 from prgbd.loop.monitor import Monitor, Progress, SilentMonitor
 from prgbd.loop.sensing import DepthStatistics
@@ -207,7 +208,10 @@ def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3"
         "baseline": result.stats.get("baseline"),
         "depth_sigma": error.get("sigma"),
         "depth_shared": error.get("shared"),
-        "doubts": list(result.stats.get("doubts", [])),
+        "doubts": [
+            *result.stats.get("doubts", []),
+            *scale_doubts(result, sequence.poses, sequence.depth_levels_per_metre),
+        ],
     }
 
 

@@ -234,6 +234,7 @@ class CheckedSequence(Sequence):
         require(isinstance(getattr(sequence, "camera", None), PinholeCamera), who, "declares no camera.")
         self.name, self.camera, self.timestamps = sequence.name, sequence.camera, stamps
         self.baseline, self.concurrent, self.remarks = sequence.baseline, sequence.concurrent, sequence.remarks
+        self.depth_levels_per_metre = sequence.depth_levels_per_metre
 
     def __getattr__(self, name: str) -> Any:
         if name == "unwrapped":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,11 @@ class DepthFormat:
                 f"The option depth_levels_per_metre is {levels:g}; it counts the grey levels in one metre (1000 for "
                 f"millimetres, 5000 for TUM's files, 1 for files in metres), not the metres of one level{inverse}"
             )
+
+    def levels_in(self, files: Iterable[Path | None]) -> float | None:
+        """Return the grey levels in one metre of some files, None where only their content tells."""
+        whole = all(path is None or path.suffix.lower() == ".png" for path in files)
+        return self.levels_per_metre or (MILLIMETRES if whole else None)
 
 
 class DepthReader:

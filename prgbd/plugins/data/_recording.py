@@ -86,6 +86,8 @@ class FileSequence(Sequence):
         if understood:
             self.remarks = (*self.remarks, understood)
         self._files = files.chosen(frame_range(len(files.images), start, stop, step, name))
+        if files.depths is not None:
+            self.depth_levels_per_metre = files.depth_format.levels_in(files.depths)
         self._depths = DepthReader(name, (camera.width, camera.height), files.depth_format)
         self.timestamps = np.asarray(self._files.timestamps, np.float64)
         bad = np.flatnonzero(~(np.diff(self.timestamps) > 0))
