@@ -84,9 +84,8 @@ def open_video(path: Path, threads: int = MOST_THREADS) -> tuple[Any, Any]:
     try:
         # Metadata may be in any encoding, and a play list inside the file must not reach the network.
         container = av.open(str(path.absolute()), metadata_errors="replace", options={"protocol_whitelist": "file"})
-        streams = [s for s in container.streams.video if not s.disposition & STILL]
-        stream = max(streams, key=lambda s: s.width * s.height, default=None)
-        if stream is None or stream.codec_context is None:
+        stream = max(_moving(container), key=lambda s: s.width * s.height, default=None)
+        if stream is None:
             raise DataError(f"{path} holds no video that can be decoded; check the file, or convert it to MP4.")
         context = stream.codec_context
         context.thread_count = min(threads, (os.cpu_count() or 1) + 1)
@@ -106,7 +105,7 @@ def make_index(path: Path) -> VideoIndex:
     """
     container, stream = open_video(path)
     with container:
-        if sum(not s.disposition & STILL for s in container.streams.video) > 1:
+        if len(_moving(container)) > 1:
             log.warning("%s holds several videos; the one of %dx%d is read.", path, stream.width, stream.height)
         packets = _listed(container, stream)
         rate = float(stream.average_rate or stream.guessed_rate or 0)
@@ -151,6 +150,11 @@ def decode(context: Any, packet: Any, number: int) -> list[Any]:
             return []
         packet.pts = packet.dts = number
     return list(context.decode(packet))
+
+
+def _moving(container: Any) -> list[Any]:
+    """The video streams that are no cover pictures and whose codec is known."""
+    return [s for s in container.streams.video if s.codec_context is not None and not s.disposition & STILL]
 
 
 def _unreadable(path: Path, image: bool = False) -> str:

@@ -67,6 +67,8 @@ class VideoSequence(Sequence):
         self._path = _find(root, sequence)
         self.name = _name(self._path, root)
         self._reader = VideoReader(self._path)
+        if self._reader.interlaced:
+            log.warning("%s is interlaced: one of the two fields of each picture is kept.", self._path)
         times = _times(self._reader, fps, self._path)
         chosen = self._range(start, stop, step)
         pinhole = self._camera(camera, fov, range(chosen[0], chosen[-1] + 1))
