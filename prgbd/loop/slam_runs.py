@@ -51,7 +51,7 @@ def sensor_input(sequence: Sequence, mode: str, baseline: float | None) -> SlamI
         baseline: Metres that the user fixed; None takes the recording's own, else the Kinect's 0.08 m (``rgbd``).
 
     Raises:
-        DataError: If ``rgbd`` is asked of a recording without depth, or ``stereo`` of one without right images.
+        DataError: If ``rgbd`` is asked of a recording without depth or of depth that is unknown everywhere, or ``stereo`` of one without right images.
     """
     frames = (sequence.frame(index) for index in range(len(sequence)))
     if mode == "mono":
@@ -67,6 +67,11 @@ def sensor_input(sequence: Sequence, mode: str, baseline: float | None) -> SlamI
         raise DataError(
             f"The sequence '{sequence.name}' has no depth sensor, which slam.mode=rgbd needs; use slam.mode=mono, or "
             "slam.mode=pseudo_rgbd with depth=ID."
+        )
+    if not any(frame.depth is not None and frame.depth.any() for frame in sequence):  # ends at the first with depth
+        raise DataError(
+            f"The depth of '{sequence.name}' is unknown at every pixel of every frame; check its depth files and the "
+            "options data.depth_*, or use slam.mode=mono."
         )
     return SlamInput(frames, mode, baseline or sequence.baseline or KINECT_BASELINE)
 

@@ -141,7 +141,7 @@ def describe(summary: dict[str, Any]) -> list[str]:
         sentences += _better_loop(loops, judged_sequences(summary))
     if pose is None:
         sentences += _missing_pose(loops)
-    sentences += _depth_error(loops[-1]) + _stop(summary)
+    sentences += _doubts(loops) + _depth_error(loops[-1]) + _stop(summary)
     return sentences or ["The depth was predicted; there is no ground truth to measure it against."]
 
 
@@ -253,6 +253,17 @@ def _better_loop(loops: list[dict[str, Any]], judged: list[str] | None) -> list[
         if loop not in (loops[0], loops[-1]):
             sentences.append(f"The lowest {what} was {number(value)}{unit}, in loop {loop.get('loop')}.")
     return sentences
+
+
+def _doubts(loops: list[dict[str, Any]]) -> list[str]:
+    """Say what speaks against the trajectories; of the loops with the same doubts the first is named."""
+    found: dict[str, str] = {}
+    for loop in loops:
+        for name, figures in (loop.get("pose") or {}).items():
+            doubts = "; ".join(str(doubt).rstrip(".") for doubt in figures.get("doubts") or ())
+            if doubts:
+                found.setdefault(doubts, f"{loop_name(loop)}, {name}")
+    return [f"Doubtful ({where}): {doubts}." for doubts, where in found.items()]
 
 
 def _missing_pose(loops: list[dict[str, Any]]) -> list[str]:

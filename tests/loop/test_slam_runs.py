@@ -64,6 +64,20 @@ def test_rgbd_without_a_sensor_is_refused():
         sensor_input(Wall(), "rgbd", None)
 
 
+def test_depth_that_is_unknown_everywhere_is_refused(monkeypatch):
+    sequence = Wall(sensor=True)
+    frame = Wall.frame
+
+    def blank(self, i):
+        return frame(self, i).with_depth(0 * frame(self, i).depth)
+
+    monkeypatch.setattr(Wall, "frame", lambda self, i: blank(self, i) if i < 3 else frame(self, i))
+    assert sensor_input(sequence, "rgbd", None).mode == "rgbd"
+    monkeypatch.setattr(Wall, "frame", blank)
+    with pytest.raises(DataError, match="unknown at every pixel of every frame"):
+        sensor_input(sequence, "rgbd", None)
+
+
 def test_the_system_is_closed_even_when_it_fails():
     closed = []
 

@@ -160,3 +160,10 @@ def test_a_run_that_measured_nothing_still_has_a_sentence(summary):
     ]
     only(summary, 0)["loops"][0]["name"] = "trajectory"
     assert describe(summary)[0] == "The trajectory has a pose for 147 of 150 frames."
+
+
+def test_doubts_are_told_once(summary):
+    for loop in summary["loops"]:
+        loop["pose"]["street-a"]["doubts"] = ["the depth is 5 times too small", "the camera jumps at frame 3"]
+    told = [sentence for sentence in describe(summary) if sentence.startswith("Doubtful")]
+    assert told == ["Doubtful (pRGBD-Initial, street-a): the depth is 5 times too small; the camera jumps at frame 3."]
