@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from prgbd.cli.arguments import is_multirun, is_true, normalise, value_of
 from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.version import __version__
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -60,6 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: list[str]) -> int:
     if "--help" in arguments or "-h" in arguments:
         _help([argument for argument in arguments if argument not in ("--help", "-h")])
+        return 0
+    if "--version" in arguments:
+        print(f"prgbd {__version__}")
         return 0
     normalised = normalise(arguments)
     for option in ("out", "resume"):

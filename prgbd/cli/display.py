@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import sys
 import time
 import warnings
@@ -146,8 +147,9 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def complain(message: str) -> None:
-    """Print one sentence on the error stream."""
-    print(f"prgbd: {message}", file=sys.stderr, flush=True)
+    """Print one sentence on the error stream; paths that would fill the screen are cut."""
+    readable = re.sub(r"\S{300,}", lambda found: f"{found[0][:100]}...{found[0][-40:]}", message)
+    print(f"prgbd: {readable}", file=sys.stderr, flush=True)
 
 
 class _Shown(logging.Handler):

@@ -15,7 +15,11 @@ from prgbd.core.registry import REGISTRY
 EXAMPLES = (
     ("the self-improving loop on a synthetic street", "slam=orb_gtsam depth=monodepth2 depth.weights=demo"),
     (
-        "the loop on your own video",
+        "SLAM alone on your own video",
+        "slam=orb_gtsam task=slam data=video data.root=FILE.mp4 data.fov=70",
+    ),
+    (
+        "the loop on your own video (W: a folder of trained weights)",
         "slam=orb_gtsam depth=monodepth2 depth.weights=W data=video data.root=FILE.mp4 data.fov=70",
     ),
     (

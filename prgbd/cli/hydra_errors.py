@@ -12,7 +12,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException, ValidationError
 
-from prgbd.cli.arguments import PLUGIN_GROUPS
+from prgbd.cli.arguments import GROUPS, PLUGIN_GROUPS
 from prgbd.cli.hydra_bridge import OWN_GROUPS, options_class
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.task_options import TASKS
@@ -30,6 +30,12 @@ MOVED = {
     "training.residual": "loss.depth_consistency.residual and loss.depth_transfer.residual",
 }
 """Options that were renamed: old -> new."""
+INSTEAD = {
+    "video": "data=video data.root=FILE",
+    "images": "data=images data.root=FOLDER",
+    "root": "data=video data.root=FILE, or data=images data.root=FOLDER",
+}
+"""What is written in place of options that newcomers guess."""
 
 
 def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdError:
@@ -44,10 +50,7 @@ def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdEr
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         return _unknown_choice(str(error.missing_cfg_file), list(error.options or ()))
     if isinstance(error, OverrideParseException):
-        return ConfigError(
-            f"'{error.override.lstrip('+')}' is not understood; write option=value, and put values with special "
-            "characters in quotes: \"option='value'\"."
-        )
+        return _not_understood(error.override.lstrip("+"))
     text = str(error)
     cause = error.__cause__ or error.__context__ or error
     if isinstance(cause, ValidationError) and cause.full_key:
@@ -55,12 +58,38 @@ def explain(error: HydraException | OmegaConfBaseException | OSError) -> PrgbdEr
     several = re.search(r"Ambiguous value for argument '([^']+)'", text)
     if several:
         return ConfigError(f"'{several[1]}' names several values; add -m to run them all, or write a list: key=[a,b].")
+    unresolved = re.search(r"Interpolation key '([^']+)' not found\s+full_key: (\S+)", text)
+    if unresolved:
+        return ConfigError(
+            f"{unresolved[2]} refers to ${{{unresolved[1]}}}, which is no option; name another, or a value."
+        )
+    if missing := re.search(r"Could not delete from config. '([^']+)' does not exist", text):
+        return unknown_option(missing[1], known_options())
     missing = re.search(r"Could not override '([^']+)'", text) or re.search(r"not in '\w+'\s+full_key: (\S+)", text)
     if missing and missing[1] in MOVED:
         return ConfigError(f"There is no option '{missing[1]}' any more; it is now {MOVED[missing[1]]}.")
+    if missing and missing[1] in INSTEAD:
+        return ConfigError(f"There is no option '{missing[1]}'; write {INSTEAD[missing[1]]}.")
+    if missing and missing[1] in GROUPS:
+        return ConfigError(f"{missing[1]}= takes one choice, such as {missing[1]}=ID; see --help.")
     if missing:
         return unknown_option(missing[1], known_options())
     return ConfigError(f"The configuration does not hold together: {' '.join(text.split())}; see --help.")
+
+
+def _not_understood(override: str) -> ConfigError:
+    key, _, value = override.partition("=")
+    if any(quote in value for quote in "“”‘’"):
+        mend = "it has curly quotes: write straight ones (\" or '), or none."
+    elif re.search(r"\s\S+=", value):
+        mend = "give every option=value as a word of its own, without quotes around all of them."
+    elif value.rstrip().endswith((",", ";")):
+        mend = f"leave out the '{value.rstrip()[-1]}' at its end."
+    elif value.count("[") != value.count("]"):
+        mend = "a list needs both brackets: option=[a,b]."
+    else:
+        mend = f"put values with special characters in quotes: \"{key}='value'\"."
+    return ConfigError(f"'{override}' is not understood; {mend}")
 
 
 def _type_of(key: str) -> Any:
@@ -74,6 +103,11 @@ def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
         package = {"joblib": "'prgbd[joblib]'", "submitit_slurm": "hydra-submitit-launcher"}.get(name.split("/")[-1])
         mend = f"pip install {package}" if package else "see --hydra-help"
         return ConfigError(f"Hydra's {path} is not installed; {mend}.")
+    if group == "data" and Path(name).expanduser().exists():
+        kind = "images" if Path(name).expanduser().is_dir() else "video"
+        return ConfigError(
+            f"data= takes the kind of the recordings, and '{name}' is one; write data={kind} data.root={name}."
+        )
     if group in PLUGIN_GROUPS:
         try:
             parse_id(name)

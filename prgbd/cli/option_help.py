@@ -16,10 +16,12 @@ from prgbd.cli.hydra_bridge import OWN_GROUPS, options_class
 from prgbd.cli.options import CommonOptions
 from prgbd.cli.plugin_choices import CHOICES, LOOP_KEYS
 from prgbd.cli.task_options import TASKS
+from prgbd.core.errors import PrgbdError
 from prgbd.core.option_errors import dotted, unknown_option
-from prgbd.core.registry import REGISTRY
+from prgbd.core.registry import KINDS, REGISTRY, SHORT_FOR
 
 _ATTRIBUTES = re.compile(r"^Attributes:\n((?:[ ]{4}.*\n?|\n)+)", re.MULTILINE)
+_ARGUMENTS = re.compile(_ATTRIBUTES.pattern.replace("Attributes", "Args"), re.MULTILINE)
 _ATTRIBUTE = re.compile(r"^[ ]{4}(\w+): (.*(?:\n[ ]{5,}.*)*)", re.MULTILINE)
 
 
@@ -33,7 +35,7 @@ def print_option_help(console: Console, name: str) -> None:
     Raises:
         ConfigError: If there is neither.
     """
-    rows = list(_all_rows())
+    rows = [*_all_rows(), *_plugin_rows(name.partition(".")[0])]
     chosen = [row for row in rows if f"{row[1]}.".startswith(f"{name}.")]
     if not chosen:
         raise unknown_option(name, [key for _, key, _, _ in rows])
@@ -47,13 +49,13 @@ def print_option_help(console: Console, name: str) -> None:
         console.print()
 
 
-def attribute_docs(cls: type[Any]) -> dict[str, str]:
-    """Return what the docstring of a dataclass, and those that it derives from, say of its fields."""
+def attribute_docs(cls: type[Any], section: re.Pattern[str] = _ATTRIBUTES) -> dict[str, str]:
+    """Return what the docstring of a class, and those that it derives from, say of its fields or arguments."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
-        section = _ATTRIBUTES.search(inspect.cleandoc(base.__doc__ or ""))
-        if section:
-            found |= {name: " ".join(text.replace("``", "").split()) for name, text in _ATTRIBUTE.findall(section[1])}
+        text = section.search(inspect.cleandoc(base.__doc__ or ""))
+        if text:
+            found |= {name: " ".join(said.replace("``", "").split()) for name, said in _ATTRIBUTE.findall(text[1])}
     return found
 
 
@@ -67,6 +69,23 @@ def _all_rows() -> Iterator[tuple[str, str, str, str]]:
         for spec in REGISTRY.specs(kind):
             if (options := options_class(spec)) is not None:
                 yield from _rows(options(), kind, f"{kind}={spec.id}")
+
+
+def _plugin_rows(kind: str) -> Iterator[tuple[str, str, str, str]]:
+    """Yield the same of the plug-ins of a kind whose constructor tells their options; those that break are left out."""
+    for spec in REGISTRY.specs(kind) if kind in KINDS else ():
+        if spec.options:
+            continue
+        try:
+            options = REGISTRY.options(kind, spec.id)
+            docs = attribute_docs(REGISTRY.load(spec), _ARGUMENTS)
+        except PrgbdError:
+            continue
+        prefix = f"{kind}.{spec.id}" if kind in SHORT_FOR else kind
+        title = spec.description if kind in SHORT_FOR else f"{kind}={spec.id}"
+        for name, option in options.items():
+            default = "" if option.default is option.empty else _written(option.default)
+            yield title, f"{prefix}.{name}", default, docs.get(name, "")
 
 
 def _rows(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prgbd.cli.arguments import PLUGIN_GROUPS
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
     from prgbd.core.data import Sequence
     from prgbd.core.depth import DepthEstimator
     from prgbd.core.slam import GeometricSLAM
+
+
+WITHOUT_FILES = "synthetic"
+"""The recordings that are taken where no ``data=`` is given; whoever forgets it has files of their own."""
 
 
 @dataclass
@@ -149,6 +154,10 @@ def _is_stereo(sequence: Sequence) -> bool:
 def _make_sequences(choice: DataChoice) -> tuple[list[Sequence], list[Sequence]]:
     if not choice.id:
         raise ConfigError(f"No data is chosen; add data=ID: {listed(choices('data'))}.")
+    if choice.id == WITHOUT_FILES and "root" in choice.options:
+        root = str(choice.options["root"])
+        kind = "images" if Path(root).expanduser().is_dir() else "video"
+        raise ConfigError(f"data.root={root} is given, but data={choice.id} draws its own world; add data={kind}.")
     sequences = REGISTRY.make_sequences(choice.id, names_of(choice.sequences), **choice.options)
     test_names = names_of(choice.test_sequences)
     test_sequences = REGISTRY.make_sequences(choice.id, test_names, **choice.options) if test_names else []

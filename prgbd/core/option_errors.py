@@ -37,13 +37,14 @@ def unknown_option(key: str, known: Iterable[str]) -> ConfigError:
         or _near(leaf, names)
         or difflib.get_close_matches(key, names, n=3, cutoff=0.8)
     )
-    hint = f"did you mean {listed(near)}?" if near else f"there are {listed(siblings or names)}."
+    top = sorted({name.partition(".")[0] for name in names})
+    hint = f"did you mean {listed(near)}?" if near else f"there are {listed(siblings or top)}."
     return ConfigError(f"There is no option '{key}'; {hint}")
 
 
 def refused(key: str, value: Any, annotation: Any) -> ConfigError:
     """Return the error for a value that an option of a type does not take."""
-    infinite = isinstance(value, float) and math.isinf(value)
+    infinite = annotation is float and isinstance(value, float) and math.isinf(value)
     return ConfigError(f"{key} is {shown(value)}; it must be {wanted(annotation)}{' and finite' if infinite else ''}.")
 
 

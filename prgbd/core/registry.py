@@ -160,7 +160,7 @@ class Registry:
         versions = [s for s in specs.values() if s.version is not None and s.versionless == plugin_id]
         if versions:
             return max(versions, key=lambda s: s.version or 0)
-        near = difflib.get_close_matches(plugin_id, list(specs), n=3, cutoff=0.5)
+        near = difflib.get_close_matches(plugin_id.lower(), list(specs), n=3, cutoff=0.5)
         near += [s for s in specs if s not in near and parse_id(s)["name"] == plugin_id.rsplit("/", 1)[-1]]
         hint = f"did you mean {listed(near)}?" if near else f"there are {listed(sorted(specs))}."
         raise UnknownPluginError(f"There is no {kind} plug-in '{plugin_id}'; {hint}")

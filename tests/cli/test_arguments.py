@@ -43,9 +43,13 @@ def test_a_file_that_is_there_needs_no_quotes(tmp_path, name):
     film = tmp_path / name
     film.touch()
     assert normalise([f"data.root={film}"]) == ["++data.root='" + str(film).replace("'", r"\'") + "'"]
-    assert normalise([f"data.root={film}.x", f"data.root='{film}'"]) == [
-        f"++data.root={film}.x",
+    assert normalise([f"data.name={film}.x", f"data.root='{film}'"]) == [
+        f"++data.name={film}.x",
         f"++data.root='{film}'",
+    ]
+    absent = f"{film}.x"
+    assert normalise([f"data.root={absent}"]) == [
+        f"++data.root={absent}" if "'" in absent else f"++data.root='{absent}'"
     ]
     (override,) = OverridesParser.create().parse_overrides(normalise([f"data.root={film}"]))
     assert override.value() == str(film)

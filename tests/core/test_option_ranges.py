@@ -39,7 +39,7 @@ class Options:
         ("caps", [3, -1], "a list of positive numbers"),
         ("free", math.nan, "a number"),
         ("free", math.inf, "a number and finite"),
-        ("number", math.inf, "a whole number and finite"),
+        ("number", math.inf, "a whole number"),
         ("number", 10**30, "a whole number of 64 bits"),
         pytest.param("number", 10**5000, "a whole number of 64 bits", id="thousands of digits"),
     ],
