@@ -51,7 +51,8 @@ def sensor_input(sequence: Sequence, mode: str, baseline: float | None) -> SlamI
         baseline: Metres that the user fixed; None takes the recording's own, else the Kinect's 0.08 m (``rgbd``).
 
     Raises:
-        DataError: If ``rgbd`` is asked of a recording without depth or of depth that is unknown everywhere, or ``stereo`` of one without right images.
+        DataError: If ``rgbd`` is asked of a recording without depth, or with depth that is unknown everywhere, or
+            ``stereo`` of one without right images.
     """
     frames = (sequence.frame(index) for index in range(len(sequence)))
     if mode == "mono":
