@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 import traceback
@@ -11,13 +10,11 @@ from typing import TYPE_CHECKING
 
 from prgbd.cli.arguments import is_multirun, is_true, normalise, value_of
 from prgbd.core.errors import ConfigError, PrgbdError
+from prgbd.io.command import complain, exit_code
 from prgbd.version import __version__
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-# Failures of the machine that the user can mend; every other OSError is a bug.
-_MENDABLE = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT, errno.ENAMETOOLONG, errno.ELOOP)
 
 # What the run of this process failed with. Hydra would add lines of its own to an exception that passes through it.
 _failures: list[Exception] = []
@@ -30,32 +27,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; ``sys.argv[1:]`` when None.
 
     Returns:
-        The exit code: 0, 2 for something the user can mend, 1 for a bug, 130 after Ctrl-C.
+        The exit code, see ``ExitCode``.
     """
     # Threads that spin while they wait make everything ten times slower as soon as the machine has other work.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = is_true(value_of(arguments, "debug")) or os.environ.get("HYDRA_FULL_ERROR") == "1"
-    from prgbd.cli.display import complain
-
-    try:
-        return _main(arguments)
-    except PrgbdError as error:
-        if debug:
-            traceback.print_exc()
-        else:
-            complain(str(error))
-            for note in getattr(error, "__notes__", ()):
-                print(note, file=sys.stderr)
-        return 2
-    except OSError as error:
-        if debug or error.errno not in _MENDABLE:
-            raise
-        complain(f"{error.strerror}: {error.filename or 'while writing'}; make room or choose another folder.")
-        return 2
-    except KeyboardInterrupt:
-        complain("Stopped before anything was started.")
-        return 130
+    return exit_code(lambda: _main(arguments), debug=debug)
 
 
 def _main(arguments: list[str]) -> int:
@@ -102,6 +80,7 @@ def _through_hydra(arguments: list[str]) -> int:
     from prgbd.cli import sweep
     from prgbd.cli.hydra_bridge import register
     from prgbd.cli.hydra_errors import explain
+    from prgbd.cli.run_folder import RunFolder
 
     register()
     run = hydra.main(version_base="1.3", config_path="pkg://prgbd.conf", config_name="prgbd")(_task)
@@ -114,7 +93,10 @@ def _through_hydra(arguments: list[str]) -> int:
         run()
     except (HydraException, OmegaConfBaseException) as error:
         raise explain(error) from error
+    except BrokenPipeError:
+        raise
     except OSError as error:  # those of the runs are in _failures, so this one is Hydra's
+        RunFolder.take_back()
         raise ConfigError(
             f"The run's folder {error.filename} cannot be made ({error.strerror}); choose another out=FOLDER."
         ) from error
@@ -137,7 +119,6 @@ def _task(config: DictConfig) -> None:
     from omegaconf import OmegaConf
 
     from prgbd.cli import job, sweep
-    from prgbd.cli.display import complain
 
     plain = OmegaConf.to_container(config, resolve=True)
     assert isinstance(plain, dict)
@@ -152,8 +133,14 @@ def _task(config: DictConfig) -> None:
         except Exception as error:
             _failures.append(error)
         return
+    sweep.forget_failure(folder)
     try:
-        job.start(options, folder, overrides, choices)
+        if job.holds_same_run(folder, options):
+            job.resume(folder, {})
+        else:
+            job.start(options, folder, overrides, choices)
+    except BrokenPipeError:
+        raise
     except PrgbdError as error:
         complain(f"run {folder.name}: {error}")
         sweep.note_failure(folder, error)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import re
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -24,6 +22,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+from prgbd.io.disk import writing
+from prgbd.io.reading import require_file
 
 log = logging.getLogger("prgbd")
 _PLAIN_INTERVAL = 30.0  # seconds between progress lines where there is no terminal
@@ -140,16 +141,25 @@ class Display:
         self.say(f"{title}: {shown.done} in {seconds:.1f} s, {shown.done / max(seconds, 1e-6):.1f}/s")
 
 
+class _Console(Console):
+    """A console that leaves it to the command how it ends when nobody reads its output any more."""
+
+    def on_broken_pipe(self) -> None:
+        """Pass the error on; rich would exit with code 1."""
+        raise BrokenPipeError
+
+
 def make_console(*, stderr: bool = False) -> Console:
     """Return a console that does not break lines where the output is a file or a pipe."""
-    console = Console(stderr=stderr)
-    return console if console.is_terminal else Console(stderr=stderr, width=200, color_system=None)
+    console = _Console(stderr=stderr)
+    return console if console.is_terminal else _Console(stderr=stderr, width=200, color_system=None)
 
 
-def complain(message: str) -> None:
-    """Print one sentence on the error stream; paths that would fill the screen are cut."""
-    readable = re.sub(r"\S{300,}", lambda found: f"{found[0][:100]}...{found[0][-40:]}", message)
-    print(f"prgbd: {readable}", file=sys.stderr, flush=True)
+class _LogFile(logging.FileHandler):
+    """A log that a full disk does not stop: whoever writes results says so."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Leave the line out."""
 
 
 class _Shown(logging.Handler):
@@ -172,8 +182,11 @@ def log_file(path: Path, console: Console) -> Iterator[None]:
         path: The file; it is appended to.
         console: Where warnings of prgbd's own parts are shown as well.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.FileHandler(path, encoding="utf-8")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            require_file(path, "the log of the run")
+        handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     root = logging.getLogger()
     level = root.level

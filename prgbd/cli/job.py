@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import time
@@ -16,22 +17,27 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import OmegaConf
 
-from prgbd.cli.display import Display, complain, log_file, quiet
+from prgbd.cli.display import Display, log_file, quiet
 from prgbd.cli.options import RunOptions, read_options
 from prgbd.cli.parts import Parts, make_parts
+from prgbd.cli.run_folder import RunFolder
 from prgbd.cli.settings import check_machine, trainer_factory, use_threads
 from prgbd.core.blame import blaming_plugins
-from prgbd.core.errors import PrgbdError
-from prgbd.io.files import atomic_path
-from prgbd.loop.store import CONFIG, DONE, RunStore
+from prgbd.core.errors import ConfigError, PartlyFailedError, PrgbdError
+from prgbd.io.command import complain
+from prgbd.io.files import atomic_path, read_json, to_plain
+from prgbd.loop.outcome import failure
+from prgbd.loop.store import CONFIG, DONE, SUMMARY, RunStore, read_config
 from prgbd.loop.summary import RunIdentity
 from prgbd.version import __version__
 
 if TYPE_CHECKING:
+    from prgbd.core.data import Sequence
     from prgbd.training.trainers import TrainerFactory
 
 log = logging.getLogger("prgbd")
 META = "run"  # the key of config.yaml under which prgbd keeps its own notes
+NO_PART = (META, "out", "resume", "debug", "progress", "viz")  # of what makes two runs the same
 MOST_LOOKS = 8  # recordings that are looked at before a run
 
 
@@ -94,7 +100,7 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
             parts = make_parts(options)
         store = RunStore.create(folder, noted)
     except BaseException:
-        _remove_empty(folder)
+        RunFolder.take_back()
         raise
     try:
         _note_overrides(folder, overrides)
@@ -122,6 +128,7 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
         display = make_display(config.get("progress", "auto"))
         if store.is_finished:
             display.say(f"The run in {folder} is finished; there is nothing left to do.")
+            _raise_failure(store)
             return
         with _working_folder(store.config.get(META, {}).get("started_in")):
             options = read_options(config)
@@ -134,6 +141,24 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
         store.close()
 
 
+def holds_same_run(folder: Path, config: Mapping[str, Any]) -> bool:
+    """Whether a folder holds a run of this configuration, begun by an earlier start of the same multirun.
+
+    Raises:
+        ConfigError: If it holds a run of another one.
+        DataError: If its configuration cannot be read.
+    """
+    if not os.path.lexists(folder / CONFIG):
+        return False
+    old, new = read_config(folder), json.loads(json.dumps(to_plain(config)))
+    other = sorted(key for key in {*old, *new} - {*NO_PART} if old.get(key) != new.get(key))
+    if other:
+        raise ConfigError(
+            f"{folder} holds a run with other options ({', '.join(other)}); choose another hydra.sweep.dir or out=."
+        )
+    return True
+
+
 def make_display(bars: bool | str) -> Display:
     """Make the display that the option ``progress`` asks for."""
     return Display(bars if isinstance(bars, bool) else None)
@@ -144,26 +169,55 @@ def _run(job: Job) -> None:
     folder = job.store.folder
     work: Callable[[Job], None] = import_module(f"prgbd.cli.tasks.{task}").run
     begin = time.monotonic()
-    with log_file(folder / "run.log", job.display.console):
+    with log_file(job.store.path("run.log"), job.display.console):
         job.display.header(f"prgbd {task}", _facts(job))
         try:
             with blaming_plugins():
                 _look_at_recordings(job, task)
                 work(job)
+            _end(job, begin)
+        except BrokenPipeError:
+            log.info("Stopped, for nobody reads the output any more.")
+            raise
         except KeyboardInterrupt:
             log.info("Stopped by the user.")
             complain(f"Stopped; what was finished is kept, go on with: python -m prgbd resume={job.shown(folder)}")
             raise SystemExit(130) from None
         except PrgbdError as error:
             log.error("%s\n%s", error, traceback.format_exc())
-            if job.store.has_begun:
+            if job.store.has_begun and not job.store.is_finished:
                 error.add_note(f"What was finished is kept; go on with: python -m prgbd resume={job.shown(folder)}")
             raise
         except Exception:
             log.error("prgbd failed\n%s", traceback.format_exc())
             raise
+
+
+def _end(job: Job, begin: float) -> None:
+    """Mark a run as done, unless a recording failed that another start may find whole.
+
+    Raises:
+        PrgbdError: If the run reached nothing, or recordings failed.
+    """
+    partly = isinstance(failure(read_json(job.store.path(SUMMARY))), PartlyFailedError)
+    if not partly:
         job.store.finish(DONE)
-        job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {job.shown(folder)}")
+    job.display.say(f"Done in {time.monotonic() - begin:.0f} s: {job.shown(job.store.folder)}")
+    _raise_failure(job.store)
+
+
+def _raise_failure(store: RunStore) -> None:
+    """Raise what a run that reached its end failed with, if with anything."""
+    failed = failure(read_json(store.path(SUMMARY)))
+    if failed is not None:
+        raise failed
+
+
+def look_at(sequence: Sequence) -> tuple[str, ...]:
+    """Return what seems wrong with a recording, a clause each."""
+    from prgbd.tools.preflight import preflight
+
+    return preflight(sequence).warnings
 
 
 def _look_at_recordings(job: Job, task: str) -> None:
@@ -217,13 +271,3 @@ def _working_folder(folder: str | None) -> Iterator[None]:
         yield
     finally:
         os.chdir(here)
-
-
-def _remove_empty(folder: Path) -> None:
-    """Take back the folders that were made for a run that did not start."""
-    if (folder / CONFIG).exists():
-        return
-    with contextlib.suppress(OSError):
-        while folder.is_dir() and folder.resolve() != Path.cwd():
-            folder.rmdir()  # fails, and so ends here, as soon as something lies in it
-            folder = folder.parent

@@ -8,8 +8,10 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from prgbd.cli.display import complain, make_console
+from prgbd.cli.display import make_console
 from prgbd.core.errors import PrgbdError
+from prgbd.core.exit_codes import ExitCode
+from prgbd.io.command import complain
 from prgbd.io.files import read_json, write_json
 
 ERROR = "error.json"
@@ -45,18 +47,22 @@ class AblationTable(Callback):
 def note_failure(folder: Path, error: BaseException) -> None:
     """Leave a note in the folder of a run of a multirun that failed."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / ERROR, {"error": type(error).__name__, "message": str(error)})
+    code = error.exit_code if isinstance(error, PrgbdError) else ExitCode.BUG
+    write_json(folder / ERROR, {"error": type(error).__name__, "message": str(error), "exit_code": int(code)})
+
+
+def forget_failure(folder: Path) -> None:
+    """Take away the note of an earlier start of the same multirun."""
+    (folder / ERROR).unlink(missing_ok=True)
 
 
 def exit_code(folder: Path | None) -> int:
-    """Return 0 if every run of the multirun in ``folder`` ended well, 2 if all failures can be mended, else 1."""
+    """Return 0 if every run of the multirun in ``folder`` went well, 1 after a bug, else the failures' own, or 2."""
     notes = [read_json(path) for path in sorted(folder.glob(f"*/{ERROR}"))] if folder is not None else []
     if not notes:
         return 0
     complain(f"{len(notes)} of the runs failed; see the messages above and {folder}{'/'}*/{ERROR}.")
-    mendable = {cls.__name__ for cls in _all_subclasses(PrgbdError)}
-    return 2 if all(note["error"] in mendable for note in notes) else 1
-
-
-def _all_subclasses(cls: type[Any]) -> list[type[Any]]:
-    return [cls, *(found for sub in cls.__subclasses__() for found in _all_subclasses(sub))]
+    codes = {int(note["exit_code"]) for note in notes}
+    if ExitCode.BUG in codes:
+        return ExitCode.BUG
+    return codes.pop() if len(codes) == 1 else ExitCode.INPUT

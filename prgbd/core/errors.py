@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
+from prgbd.core.exit_codes import ExitCode
+
 
 class PrgbdError(Exception):
     """Base of every error that is the input's fault, not the program's.
 
-    The command line prints the message alone and exits with code 2; anything that is not a
+    The command line prints the message alone and exits with ``exit_code``; anything that is not a
     ``PrgbdError`` is a bug in prgbd and keeps its traceback.
     """
+
+    exit_code: ClassVar[ExitCode] = ExitCode.INPUT
 
 
 class ConfigError(PrgbdError):
@@ -37,3 +43,19 @@ class ContractError(PrgbdError):
 
 class SlamError(PrgbdError):
     """SLAM produced nothing that the next step could use (for example: it never initialised)."""
+
+
+class DiskError(PrgbdError):
+    """A file or folder cannot be written: no room, no permission, a name that is too long."""
+
+
+class NothingTrackedError(PrgbdError):
+    """A whole run ended, and SLAM has found no trajectory in it."""
+
+    exit_code = ExitCode.NOTHING_TRACKED
+
+
+class PartlyFailedError(PrgbdError):
+    """A run of several recordings ended, and some of them failed."""
+
+    exit_code = ExitCode.PARTLY_FAILED

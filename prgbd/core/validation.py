@@ -17,11 +17,24 @@ from prgbd.core.types import DepthPrediction, Frame, PinholeCamera, SlamResult
 if TYPE_CHECKING:
     from torch import Tensor
 
+LONGEST_NAME = 180
+"""Bytes of the name of a recording: most file systems take 255, of which names of temporary files need some."""
+
 
 def require(condition: Any, who: str, what: str) -> None:
     """Raise ``ContractError`` with ``who`` and ``what`` unless the condition holds."""
     if not condition:
         raise ContractError(f"{who} {what}")
+
+
+def check_name(name: Any, who: str) -> None:
+    """Require the name of a recording to be one that a file can have: its results lie in folders of that name."""
+    require(isinstance(name, str), who, f"has the name {name!r}; it must be a text.")
+    # Readers of run folders leave hidden files out, and no part of a path may lead elsewhere.
+    plain = name.strip() and not name.startswith(".") and name.isprintable() and not set(name) & {"/", "\\"}
+    require(plain, who, f"has the name {name!r}, which no file can have; leave out slashes and a dot in front.")
+    length = len(name.encode(errors="replace"))
+    require(length <= LONGEST_NAME, who, f"has a name of {length} bytes; {LONGEST_NAME} is the most that files allow.")
 
 
 def check_pose(wTc: Any, who: str) -> None:

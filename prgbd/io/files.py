@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import shutil
 import uuid
 from collections.abc import Iterator, Mapping
@@ -15,7 +16,10 @@ from typing import Any
 import numpy as np
 
 from prgbd.core.errors import DataError
+from prgbd.io.disk import writing
 from prgbd.io.reading import read_text
+
+_TEMPORARY = re.compile(r"\..*\.\d+-[0-9a-f]{8}\.tmp(\..*)?", re.DOTALL)
 
 
 @contextlib.contextmanager
@@ -31,21 +35,36 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
     Yields:
         The path to write to, in the same folder.
+
+    Raises:
+        DiskError: If the disk is full, or may not be written to.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}-{uuid.uuid4().hex[:8]}.tmp{path.suffix}")
     try:
-        yield temporary
-        if temporary.is_file():
-            _flush(temporary)
-        os.replace(temporary, path)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            if temporary.is_file():
+                _flush(temporary)
+            os.replace(temporary, path)
     except BaseException:
-        if temporary.is_dir():
-            shutil.rmtree(temporary, ignore_errors=True)
-        else:
-            temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what could not be made is not there, and the first error counts
+            remove(temporary)
         raise
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a file or folder has a name that only ``atomic_path`` gives."""
+    return _TEMPORARY.fullmatch(path.name) is not None
+
+
+def remove(path: Path) -> None:
+    """Remove a file, or a folder with all in it; of a link the link, never what it leads to."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _flush(path: Path) -> None:
@@ -88,7 +107,7 @@ def read_json(path: Path | str) -> Any:
     """Read a JSON file.
 
     Raises:
-        DataError: If the file is missing or is not JSON.
+        DataError: If the file cannot be read or is not JSON.
     """
     text = read_text(path, "JSON")
     try:

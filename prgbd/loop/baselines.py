@@ -14,6 +14,7 @@ from prgbd.core.types import SlamResult
 from prgbd.io.export import load_result, save_result
 from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor
+from prgbd.loop.outcome import Failures
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
 from prgbd.loop.store import RunStore
 
@@ -27,6 +28,7 @@ def run_baseline(
     settings: LoopSettings,
     store: RunStore,
     monitor: Monitor,
+    failures: Failures | None = None,
 ) -> dict[str, Any]:
     """Run a system on the images of recordings alone; what is finished is not done again.
 
@@ -37,15 +39,18 @@ def run_baseline(
         settings: Seed, alignment and export formats of the run.
         store: Remembers the run.
         monitor: Who watches.
+        failures: Keeps the errors of single recordings; those that failed are left out.
 
     Returns:
         An entry like those of the summary's ``loops``, with the ``folder`` of its results instead of a number.
     """
     monitor.say(f"Baseline: {NAMES[kind]}")
     pose: dict[str, Any] = {}
-    for sequence in sequences:
-        pose[sequence.name] = localise(kind, make_slam, sequence, settings, store, monitor)
-        monitor.say("  " + describe_pose(sequence.name, pose[sequence.name]))
+    failures = failures or Failures(1, monitor)
+    for sequence in failures.spare(sequences):
+        with failures.of(sequence.name):
+            pose[sequence.name] = localise(kind, make_slam, sequence, settings, store, monitor)
+            monitor.say("  " + describe_pose(sequence.name, pose[sequence.name]))
     return {"name": NAMES[kind], "folder": _folder(kind), "pose": pose, "depth": None, "training": None}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from collections.abc import Sequence as Many
@@ -9,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prgbd.core.errors import ConfigError
+from prgbd.core.errors import ConfigError, PartlyFailedError
 from prgbd.core.options import from_mapping
 from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.files import to_plain
@@ -18,6 +19,7 @@ from prgbd.loop.improvement import Improvement
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.loop_settings import LoopSettings, SelfImprovement, SensingSettings
 from prgbd.loop.monitor import Monitor, PrintingMonitor
+from prgbd.loop.outcome import failure
 from prgbd.loop.plugin_objects import GivenData, GivenDepth, GivenSlam, make_network, make_recordings, slam_maker
 from prgbd.loop.recordings import check_recordings
 from prgbd.loop.seeding import seed_everything
@@ -31,6 +33,7 @@ from prgbd.training.trainers import TrainerFactory
 if TYPE_CHECKING:
     from lightning.pytorch.callbacks import Callback
 
+log = logging.getLogger("prgbd")
 Options = Mapping[str, Any]
 
 
@@ -129,7 +132,11 @@ def improve(
     try:
         summary = SelfImprovingLoop(parts).run()
         report = write_results(parts.store, summary)
-        parts.store.finish(DONE)
+        loop_failed = failure(summary)
+        if not isinstance(loop_failed, PartlyFailedError):
+            parts.store.finish(DONE)
+        if loop_failed is not None:
+            log.warning("%s", loop_failed)
     finally:
         parts.store.close()
     return Improvement(estimator, summary, parts.store.folder, report)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
@@ -12,6 +12,7 @@ from prgbd.core.types import SlamResult
 from prgbd.io.export import load_result
 from prgbd.loop.loop_settings import LoopSettings
 from prgbd.loop.monitor import Monitor, SilentMonitor
+from prgbd.loop.outcome import Failures, Look
 from prgbd.loop.store import RunStore
 from prgbd.loop.summary import RunIdentity
 from prgbd.loop.viewing import ViewerMaker
@@ -39,6 +40,7 @@ class LoopParts:
             test recordings, or on all if there are none, and one that teaches the network on all.
         monitor: Who watches.
         make_viewer: Makes a viewer for each SLAM run.
+        look: Looks for what is wrong with a recording in which nothing was tracked.
     """
 
     estimator: DepthEstimator
@@ -54,11 +56,20 @@ class LoopParts:
     baselines: Mapping[str, Callable[[], GeometricSLAM]] = field(default_factory=dict)
     monitor: Monitor = field(default_factory=SilentMonitor)
     make_viewer: ViewerMaker | None = None
+    look: Look | None = None
 
     @property
     def all_sequences(self) -> list[Sequence]:
         """Recordings to learn from and test recordings."""
         return [*self.sequences, *self.test_sequences]
+
+    def without(self, failures: Failures) -> LoopParts:
+        """Return the parts without the recordings that failed."""
+        return replace(
+            self,
+            sequences=failures.spare(self.sequences),
+            test_sequences=failures.spare(self.test_sequences),
+        )
 
     def result(self, loop: int, sequence: Sequence) -> SlamResult:
         """Read what SLAM made of a recording in a loop."""

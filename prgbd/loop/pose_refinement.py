@@ -13,6 +13,7 @@ from prgbd.io.export import save_result
 from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.evidence import evidence
 from prgbd.loop.loop_parts import LoopParts
+from prgbd.loop.outcome import Failures
 from prgbd.loop.sensing import DepthSensor
 from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
 from prgbd.training.supervision import measured_gap
@@ -27,10 +28,12 @@ class PoseRefinement:
     Args:
         parts: What the loop works with.
         loop: Its number.
+        failures: Keeps the errors of single recordings over all loops.
     """
 
-    def __init__(self, parts: LoopParts, loop: int) -> None:
+    def __init__(self, parts: LoopParts, loop: int, failures: Failures | None = None) -> None:
         self.parts, self.loop = parts, loop
+        self.failures = failures or Failures(len(parts.all_sequences), parts.monitor)
         self.settings, self.store, self.monitor = parts.settings, parts.store, parts.monitor
 
     def run(self) -> dict[str, Any]:
@@ -42,13 +45,20 @@ class PoseRefinement:
         found: dict[str, Any] = {}
         for sensor in sensors:
             name = sensor.sequence.name
-            sensed[name] = self.store.step(self._step("sense", name), partial(self._sense, sensor))
-            pose[name] = self.store.step(self._step("slam", name), partial(self._localise, sensor))
-            self.monitor.say("  " + describe_pose(name, pose[name]))
-            if self.loop == 0:
-                self._warn_of_a_strange_scene(name, pose[name])
-            if self.settings.max_loops:
-                found[name] = self.store.step(self._step("evidence", name), partial(self._find, sensor))
+            with self.failures.of(name):
+                sense = self.store.step(self._step("sense", name), partial(self._sense, sensor))
+                localised = self.store.step(self._step("slam", name), partial(self._localise, sensor))
+                self.monitor.say("  " + describe_pose(name, localised))
+                if self.loop == 0:
+                    self._warn_of_a_strange_scene(name, localised)
+                if self.settings.max_loops:
+                    found[name] = self.store.step(self._step("evidence", name), partial(self._find, sensor))
+                sensed[name], pose[name] = sense, localised
+        self.parts = self.parts.without(self.failures)
+        if not self.parts.sequences:
+            raise next(iter(self.failures.errors.values()))
+        sensors = [sensor for sensor in sensors if sensor.sequence.name in pose]
+        self._note_recordings(list(pose))
         tests = [self._sensor(sequence) for sequence in self.parts.depth_tests]
         depth = self.store.step(self._step("depth"), lambda: self._evaluate_depth(sensors, tests))
         if depth and depth["images"]:
@@ -68,6 +78,14 @@ class PoseRefinement:
             "seconds": seconds,
             "evidence": {sequence.name: found[sequence.name] for sequence in self.parts.sequences if found},
         }
+
+    def _note_recordings(self, names: list[str]) -> None:
+        """Forget what was made of fewer recordings: one that failed before may be there in a run that goes on."""
+        step = self._step("recordings")
+        if self.store.is_done(step) and self.store.result(step) != names:
+            self.store.forget(*(self._step(name) for name in ("depth", "refine", "seconds")), "best_weights")
+            self.store.forget_below(*(step_name(loop) for loop in range(self.loop + 1, self.settings.max_loops + 1)))
+        self.store.finish(step, names)
 
     def _warn_of_a_strange_scene(self, name: str, pose: Mapping[str, Any]) -> None:
         """Say that a network whose depth SLAM's triangulation refutes had better learn from the images alone."""
@@ -122,7 +140,7 @@ class PoseRefinement:
         )
         with self.store.new_folder(self.store.loop(self.loop, "slam", sequence.name)) as folder:
             save_result(result, folder, self.settings.export, frame=sequence.frame)
-        return pose_figures(result, sequence, self.settings.evaluation.alignment)
+        return pose_figures(result, sequence, self.settings.evaluation.alignment, self.parts.look)
 
     def _evaluate_depth(self, sensors: list[DepthSensor], tests: list[DepthSensor]) -> dict[str, Any] | None:
         """Depth figures on the depth tests, else the test recordings, else on all; and pictures of the first or all."""

@@ -13,6 +13,7 @@ from prgbd.core.registry import make_criterion
 from prgbd.core.types import SlamResult
 from prgbd.loop.baselines import baseline_result, localise, run_baseline
 from prgbd.loop.loop_parts import LoopParts
+from prgbd.loop.outcome import Failures
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name, step_name
 from prgbd.loop.refining import refine_in_run
 from prgbd.loop.slam_runs import describe_pose
@@ -35,6 +36,8 @@ class SelfImprovingLoop:
         self.store, self.monitor = parts.store, parts.monitor
         self._criterion: Criterion = make_criterion(self.settings.criterion, **self.settings.criterion_options)
         self._evidence: dict[int, dict[str, Evidence]] = {}
+        self._sequences = parts.all_sequences
+        self.failures = Failures(len(self._sequences), parts.monitor)
 
     def run(self) -> dict[str, Any]:
         """Run until there is no improvement.
@@ -48,16 +51,18 @@ class SelfImprovingLoop:
         self._check_weights()
         self._first_weights = {name: value.clone() for name, value in self.estimator.state_dict().items()}
         more = self._more()
-        self.store.step("truth", lambda: write_truth(self.store, self.parts.all_sequences))
+        self.store.step("truth", lambda: write_truth(self.store, self._sequences))
         loops: list[dict[str, Any]] = []
         stop: dict[str, Any] = {"reason": None, "best_loop": 0}
         if self.settings.max_loops:
             stop["reason"] = f"All refinements that task.max_loops={self.settings.max_loops} allows were made."
         for loop in range(self.settings.max_loops + 1):
             self.monitor.say(f"Loop {loop}: {loop_name(loop)}")
-            loops.append(PoseRefinement(self.parts, loop).run())
+            refinement = PoseRefinement(self.parts, loop, self.failures)
+            loops.append(refinement.run())
+            self.parts = refinement.parts
             reason = self._judge(loops, stop)
-            write_summary(self.store, self.parts.identity, self.parts.all_sequences, loops, more=more)
+            self._write(loops, more=more)
             if not reason and loop < self.settings.max_loops:
                 loops[-1]["training"], reason = self._refine(loop)
             if reason:
@@ -67,13 +72,17 @@ class SelfImprovingLoop:
             self.monitor.say(f"Stop: {stop['reason']}")
         self._keep_best(stop["best_loop"])
         seconds = sum(entry["seconds"] + (entry["training"] or {}).get("seconds", 0.0) for entry in loops)
+        return self._write(loops, stop=stop, seconds=seconds, more=more)
+
+    def _write(self, loops: list[dict[str, Any]], **entries: Any) -> dict[str, Any]:
         return write_summary(
-            self.store, self.parts.identity, self.parts.all_sequences, loops, stop=stop, seconds=seconds, more=more
+            self.store, self.parts.identity, self._sequences, loops, errors=self.failures.reasons, **entries
         )
 
     def _more(self) -> dict[str, Any]:
         """Run the baselines; return them and the further entries of the summary."""
         tested = self.parts.test_sequences or self.parts.sequences
+        test_sequences = [sequence.name for sequence in self.parts.test_sequences]
         rows = [
             run_baseline(
                 kind,
@@ -82,11 +91,13 @@ class SelfImprovingLoop:
                 self.settings,
                 self.store,
                 self.monitor,
+                self.failures,
             )
             for kind, make in self.parts.baselines.items()
         ]
+        self.parts = self.parts.without(self.failures)
         return {
-            "test_sequences": [sequence.name for sequence in self.parts.test_sequences],
+            "test_sequences": test_sequences,
             **(
                 {"depth_tests": [sequence.name for sequence in self.parts.depth_tests]}
                 if self.parts.depth_tests
@@ -99,12 +110,11 @@ class SelfImprovingLoop:
         """Let the criterion compare the last loop with the best one; return why to stop, "" to go on."""
         entry, best = loops[-1], loops[stop["best_loop"]]
         settings, loop = self.settings, entry["loop"]
-        evidences = entry.pop("evidence"), self._evidence.get(best["loop"])
-        self._evidence[loop] = evidences[0]
+        now = self._evidence[loop] = entry.pop("evidence")
         if loop == 0:
             return ""
-        assert evidences[1] is not None
-        verdict = self._criterion.judge(evidences[1], evidences[0], settings.min_improvement or 0.0)
+        before = {name: found for name, found in self._evidence[best["loop"]].items() if name in now}
+        verdict = self._criterion.judge(before, now, settings.min_improvement or 0.0)
         entry["criterion"] = {"compared_with": best["loop"], **verdict.to_dict()}
         self.monitor.say(f"  against loop {best['loop']}, without labels: {verdict.sentence()}")
         decides = verdict.decides and settings.min_improvement is not None

@@ -24,6 +24,7 @@ from prgbd.core.errors import ContractError
 from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame
 from prgbd.core.validation import check_depth_shape
+from prgbd.io.disk import allocated
 from prgbd.io.files import atomic_path, read_json, write_json
 from prgbd.loop.decoding import Batch, decoded
 from prgbd.loop.monitor import Monitor, SilentMonitor
@@ -178,7 +179,7 @@ class DepthSensor:
             file: NDArray[np.float32] | None = None
             for index, depth in enumerate(predictions):
                 if file is None:
-                    file = np.lib.format.open_memmap(temporary, "w+", np.float32, (count, *depth.shape))
+                    file = allocated(temporary, (count, *depth.shape), np.float32)
                 self._check(depth, index)
                 file[index] = 1.0 / depth
                 median[index], maximum[index] = float(np.median(depth)), float(depth.max())

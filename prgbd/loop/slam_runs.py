@@ -8,13 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from prgbd.core.bare_starts import without_bare_starts
 from prgbd.core.data import Sequence
 from prgbd.core.errors import DataError
 from prgbd.core.slam import GeometricSLAM, TrackingState
 from prgbd.core.types import Frame, SlamResult
 from prgbd.evaluation.metric_scale import scale_doubts
 from prgbd.evaluation.trajectory import evaluate_trajectory
+from prgbd.io.disk import require_writable
 from prgbd.loop.monitor import Monitor, Progress, SilentMonitor
+from prgbd.loop.outcome import Look, why_not_tracked
 from prgbd.loop.sensing import DepthStatistics
 from prgbd.loop.viewing import SilentViewer, SlamViewer
 from prgbd.loop.work_time import WorkTime
@@ -102,7 +105,7 @@ def run_slam(
 
     Returns:
         The system's result; its ``stats`` also hold ``seconds`` and ``fps``, both without the ``compile_seconds``,
-        ``baseline`` and the depth's diagnostics.
+        ``baseline`` and the depth's diagnostics. Frames of maps that never grew are lost, see ``without_bare_starts``.
     """
     monitor = monitor or SilentMonitor()
     keyframes = 0
@@ -144,7 +147,9 @@ def run_slam(
     }
     if given.statistics is not None:
         noted["pseudo_depth"] = given.statistics.diagnostics()
-    return replace(result, stats={**result.stats, **noted})
+    counted = without_bare_starts(result)
+    noted["bare_starts"] = result.stats.get("bare_starts", 0) + len(result.keyframes) - len(counted.keyframes)
+    return replace(counted, stats={**result.stats, **noted})
 
 
 class _Stages:
@@ -191,14 +196,24 @@ class _Stages:
 
 
 def _require_save_map(system: GeometricSLAM, path: Path) -> None:
-    """Complain before the first frame, not after the last, if the system cannot save its map."""
+    """Complain before the first frame, not after the last, if the map cannot be saved."""
+    require_writable(path, "slam.save_map")
     plain = getattr(system, "unwrapped", system)
     if type(plain).save_map is GeometricSLAM.save_map:
         plain.save_map(path)
 
 
-def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3") -> dict[str, Any]:
-    """Return the figures of one SLAM run for ``summary.json``, with pose errors where there is truth."""
+def pose_figures(
+    result: SlamResult, sequence: Sequence, alignment: str = "sim3", look: Look | None = None
+) -> dict[str, Any]:
+    """Return the figures of one SLAM run for ``summary.json``, with pose errors where there is truth.
+
+    Args:
+        result: What ``run_slam`` returned.
+        sequence: The recording.
+        alignment: How the trajectory is brought to the truth.
+        look: Looks for what is wrong with a recording in which nothing was tracked.
+    """
     error = result.stats.get("depth_error") or {}
     figures = evaluate_trajectory(
         result.trajectory, len(sequence), sequence.poses, sequence.timestamps, alignment=alignment
@@ -218,6 +233,7 @@ def pose_figures(result: SlamResult, sequence: Sequence, alignment: str = "sim3"
             *result.stats.get("doubts", []),
             *scale_doubts(result, sequence.poses, sequence.depth_levels_per_metre),
         ],
+        "failed": why_not_tracked(result, sequence, look),
     }
 
 
@@ -227,6 +243,8 @@ def describe_pose(name: str, figures: Mapping[str, Any]) -> str:
     if figures.get("ate_rmse") is not None:
         parts.append(f"ATE {figures['ate_rmse']:.3f} m ({figures['alignment']}, {figures['pairs']} poses)")
     parts.append(f"{figures['keyframes']} keyframes, {figures['points']} points")
+    if figures.get("failed"):
+        parts.append("failed: " + figures["failed"])
     if figures.get("doubts"):
         parts.append("doubtful: " + "; ".join(figures["doubts"]))
     if figures.get("depth_sigma") is not None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
@@ -12,7 +13,9 @@ from typing import Any, TextIO
 from omegaconf import OmegaConf
 
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.io.files import atomic_path, read_json, to_plain, write_json
+from prgbd.io.disk import writing
+from prgbd.io.files import atomic_path, is_temporary, read_json, remove, to_plain, write_json
+from prgbd.io.reading import read_text
 
 try:
     import fcntl
@@ -22,6 +25,9 @@ except ImportError:  # pragma: no cover - Windows: runs there are not protected 
 CONFIG = "config.yaml"
 SUMMARY = "summary.json"
 DONE = "done"
+LOCK = ".lock"
+FOLDERS = ("baselines", "cache", "depth", "loops", "maps", "steps", "training", "truth", "viz", "weights")
+"""The folders that runs make, and replace what is in them."""
 
 
 class RunStore:
@@ -50,14 +56,21 @@ class RunStore:
         """Begin a run in ``folder``.
 
         Raises:
-            ConfigError: If the folder holds a run already.
+            ConfigError: If the folder holds a run already, or something that the run would replace.
+            DiskError: If the folder cannot be written to.
         """
         folder = Path(folder)
         if (folder / CONFIG).exists():
             raise ConfigError(
                 f"{folder} holds a run already; choose another out=FOLDER, or continue it: resume={folder}."
             )
-        folder.mkdir(parents=True, exist_ok=True)
+        for name in (*FOLDERS, SUMMARY):
+            if os.path.lexists(folder / name):
+                raise ConfigError(
+                    f"{folder} holds {name} already, which the run would replace; choose another out=FOLDER."
+                )
+        with writing(folder / CONFIG):
+            folder.mkdir(parents=True, exist_ok=True)
         store = cls(folder, config)
         store._take_lock()
         with atomic_path(folder / CONFIG) as temporary:
@@ -92,12 +105,32 @@ class RunStore:
         return self._marker(step).is_file()
 
     def result(self, step: str) -> Any:
-        """Return what a finished step has left (plain data)."""
-        return read_json(self._marker(step))["result"]
+        """Return what a finished step has left (plain data).
+
+        Raises:
+            DataError: If the file was changed since, by a damaged disk or by somebody.
+        """
+        path = self._marker(step)
+        marker = read_json(path)
+        given = marker.get("sha256") if isinstance(marker, dict) else None
+        if given is None or given != _fingerprint(step, marker.get("result")):
+            raise DataError(f"{path} is not what the run has written; delete it, so that the step is done again.")
+        return marker["result"]
 
     def finish(self, step: str, result: Any = None) -> None:
         """Mark a step as done; all of its artefacts must lie in their places."""
-        write_json(self._marker(step), {"step": step, "result": result})
+        plain = to_plain(result)
+        write_json(self._marker(step), {"step": step, "result": plain, "sha256": _fingerprint(step, plain)})
+
+    def forget(self, *steps: str) -> None:
+        """Take the marks from steps, so that they are done again."""
+        for step in steps:
+            self._marker(step).unlink(missing_ok=True)
+
+    def forget_below(self, *steps: str) -> None:
+        """Take the marks from all steps whose names begin with one of these and a slash."""
+        for step in steps:
+            remove(self._marker(step).with_suffix(""))
 
     def step(self, name: str, work: Callable[[], Any]) -> Any:
         """Return the result of a step, doing the work only if the step is not done.
@@ -109,8 +142,17 @@ class RunStore:
         return self.result(name)
 
     def path(self, *parts: str) -> Path:
-        """Return a path in the run's folder."""
-        return self.folder.joinpath(*parts)
+        """Return a path in the run's folder.
+
+        Raises:
+            ConfigError: If it leads out of the folder, by its parts or by a link.
+        """
+        path = self.folder.joinpath(*parts)
+        if ".." in Path(*parts).parts or not path.resolve().is_relative_to(self.folder.resolve()):
+            raise ConfigError(
+                f"{path} leads out of the folder of the run, {self.folder}; remove the link or rename it."
+            )
+        return path
 
     def loop(self, loop: int, *parts: str) -> Path:
         """Return a path in the folder of a loop, ``RUN/loops/KK``."""
@@ -121,12 +163,18 @@ class RunStore:
         """Yield a temporary folder that becomes ``path`` once the block ends without an exception.
 
         A folder that a killed run left there is replaced.
+
+        Raises:
+            ConfigError: If the path is none of those that belong to runs, see ``FOLDERS``.
+            DiskError: If the disk is full, or may not be written to.
         """
+        within = self.path(os.path.relpath(path, self.folder))
+        if within.relative_to(self.folder).parts[:1] not in {(name,) for name in FOLDERS}:
+            raise ConfigError(f"{path} is no folder of a run; those are {', '.join(FOLDERS)}.")
         with atomic_path(path) as temporary:
             temporary.mkdir(parents=True)
             yield temporary
-            if path.is_dir():
-                shutil.rmtree(path)
+            remove(path)
 
     def close(self) -> None:
         """Let other processes work on the run."""
@@ -141,7 +189,11 @@ class RunStore:
         """Hold the folder for this process; the system lets go of it however the process ends."""
         if fcntl is None:
             return
-        lock = open(self.path(".lock"), "w")  # noqa: SIM115 - held open as long as the run
+        path = self.path(LOCK)
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"{path} is no file; remove it.")
+        with writing(path):
+            lock = open(path, "a")  # noqa: SIM115 - held open as long as the run
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -150,12 +202,21 @@ class RunStore:
         self._lock = lock
 
     def _sweep_out(self) -> None:
-        """Delete the temporary files that a killed process could not."""
-        for leftover in self.folder.rglob(".*.tmp*"):
-            if leftover.is_dir():
-                shutil.rmtree(leftover, ignore_errors=True)
-            else:
-                leftover.unlink(missing_ok=True)
+        """Delete the temporary files that a killed process could not, but those of runs inside this run's folder."""
+        for place, folders, files in os.walk(self.folder):
+            if CONFIG in files and Path(place) != self.folder:
+                folders.clear()
+                continue
+            for leftover in (Path(place, name) for name in (*folders, *files)):
+                if is_temporary(leftover):
+                    with contextlib.suppress(OSError):  # it does no harm
+                        remove(leftover)
+            folders[:] = [name for name in folders if not is_temporary(Path(name))]
+
+
+def _fingerprint(step: str, result: Any) -> str:
+    """Return what a step's result is recognised by, whatever spaces its file has."""
+    return hashlib.sha256(json.dumps([step, result], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def read_config(folder: Path) -> dict[str, Any]:
@@ -166,13 +227,14 @@ def read_config(folder: Path) -> dict[str, Any]:
         DataError: If the file cannot be read.
     """
     path = folder / CONFIG
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise ConfigError(f"There is no run in {folder} (no {CONFIG}); give resume= the folder of a run.")
+    text = read_text(path, "the configuration of a run")
     try:
-        config = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+        config = OmegaConf.to_container(OmegaConf.create(text), resolve=True)
     except Exception as error:
         raise DataError(f"{path} cannot be read ({type(error).__name__}); start a new run.") from error
-    if not isinstance(config, dict):
+    if not isinstance(config, dict) or not config:
         raise DataError(f"{path} holds no configuration; start a new run.")
     return {str(k): v for k, v in config.items()}
 

@@ -15,6 +15,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.types import Trajectory
 from prgbd.io.files import write_json
 from prgbd.io.trajectory_files import write_tum
+from prgbd.loop.outcome import verdict
 from prgbd.loop.store import SUMMARY, RunStore
 from prgbd.version import __version__
 
@@ -49,6 +50,7 @@ def write_summary(
     *,
     stop: Mapping[str, Any] | None = None,
     seconds: float | None = None,
+    errors: Mapping[str, str] | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write ``summary.json`` (schema: docs/summary-schema.md) and return it.
@@ -60,8 +62,10 @@ def write_summary(
         loops: One entry per SLAM run over the sequences, first to last.
         stop: Why the loop ended and which loop was best.
         seconds: Time that the steps of the run took.
+        errors: What recordings failed with, by their names.
         more: Further entries of the task.
     """
+    names = [sequence.name for sequence in sequences]
     summary = {
         "schema": SCHEMA,
         "prgbd": __version__,
@@ -69,9 +73,10 @@ def write_summary(
         "slam": identity.slam,
         "depth": identity.depth,
         "data": identity.data,
-        "sequences": [sequence.name for sequence in sequences],
+        "sequences": names,
         "seed": identity.seed,
         "loops": loops,
+        **verdict(loops, errors or {}, names, (stop or {}).get("best_loop")),
         "stop": dict(stop) if stop is not None else None,
         "versions": versions(),
         "threads": torch.get_num_threads(),

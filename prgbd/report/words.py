@@ -120,8 +120,9 @@ def depth_basis(depth: dict[str, Any]) -> str:
 def describe(summary: dict[str, Any]) -> list[str]:
     """Return the sentences that sum up a run, honest when something got worse or rests on different frames."""
     loops = summary.get("loops") or []
+    failed = [f"The run failed. {summary['failed']}"] if summary.get("failed") else []
     if not loops:
-        return ["The run has not finished a loop yet."]
+        return [*failed, "The run has not finished a loop yet."]
     pose, depth = pose_change(summary), depth_change(summary)
     loops = kept_loops(summary)
     sentences = []
@@ -142,7 +143,7 @@ def describe(summary: dict[str, Any]) -> list[str]:
     if pose is None:
         sentences += _missing_pose(loops)
     sentences += _doubts(loops) + _depth_error(loops[-1]) + _stop(summary)
-    return sentences or ["The depth was predicted; there is no ground truth to measure it against."]
+    return [*failed, *sentences] or ["The depth was predicted; there is no ground truth to measure it against."]
 
 
 def _pretraining(loop: dict[str, Any]) -> list[str]:

@@ -12,6 +12,7 @@ from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.types import PinholeCamera
 from prgbd.core.undistortion import Undistorter
+from prgbd.io.disk import allocated
 
 
 def decode_frames(
@@ -32,14 +33,16 @@ def decode_frames(
 
     Returns:
         (F, 3, h, w) uint8, in memory or mapped from the file.
+
+    Raises:
+        DiskError: If the disk has no room for the file.
     """
     height, width = estimator.input_size
     shape = (len(frames), 3, height, width)
     if file is None:
         images: NDArray[np.uint8] = np.empty(shape, np.uint8)
     else:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        images = np.lib.format.open_memmap(file, mode="w+", dtype=np.uint8, shape=shape)
+        images = allocated(file, shape, np.uint8)
     undistorter = Undistorter(camera or sequence.camera.undistorted())
     for row, frame in enumerate(frames):
         image = estimator.preprocess(undistorter.image(sequence.frame(int(frame)).image))

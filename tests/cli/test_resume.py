@@ -35,7 +35,7 @@ def test_killed_in_the_second_loop_and_resumed_ends_as_if_it_had_not_been(cli, m
     assert Path("killed/steps/loops/00/refine.json").is_file()
     assert not Path("killed/steps/loops/01/slam/wall.json").exists()
     refined = Path("killed/loops/00/weights/model.pth").stat().st_mtime_ns
-    Path("killed/loops/01/slam/.wall.1-2.tmp").mkdir(parents=True)  # what a kill in the midst of writing leaves
+    Path("killed/loops/01/slam/.wall.1-0123abcd.tmp").mkdir(parents=True)  # what a kill in the midst of writing leaves
 
     # In this process, frames are counted anew, so that 18 is not reached before the end.
     monkeypatch.setattr(Sideways, "tracked_in_process", -1000)
@@ -45,7 +45,7 @@ def test_killed_in_the_second_loop_and_resumed_ends_as_if_it_had_not_been(cli, m
     answer = cli("resume=../killed")
     assert answer.code == 0, answer.err
     monkeypatch.chdir(tmp_path)
-    assert not Path("killed/loops/01/slam/.wall.1-2.tmp").exists()
+    assert not Path("killed/loops/01/slam/.wall.1-0123abcd.tmp").exists()
     assert Path("killed/loops/00/weights/model.pth").stat().st_mtime_ns == refined
 
     assert cli(*shared, "out=whole").code == 0

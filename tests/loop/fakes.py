@@ -47,7 +47,7 @@ class Wall(Sequence):
             raise DataError(f"There is no folder {root}; check data.root.")
         if sequence is not None and sequence not in ("00", "10"):
             raise DataError(f"There is no sequence '{sequence}'; there are '00' and '10'.")
-        self.name = sequence or "wall"
+        self.name, self.root = sequence or "wall", root
         self.camera = PinholeCamera(96, 64, 80.0, 80.0, 47.5, 31.5)
         self.timestamps = np.arange(frames) * 0.1
         self.sensor = sensor
@@ -61,6 +61,8 @@ class Wall(Sequence):
     def frame(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise IndexError(index)
+        if index == 5 and self.root is not None and os.path.exists(os.path.join(self.root, f"{self.name}.broken")):
+            raise DataError(f"Frame 5 of {self.name} is truncated; copy it anew.")
         shift = index * STEP / WALL * self.camera.fx
         moved = cv2.warpAffine(
             self._texture, np.array([[1.0, 0, -shift - 2], [0, 1, -4]]), (96, 64), flags=cv2.INTER_LINEAR

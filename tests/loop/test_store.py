@@ -74,13 +74,13 @@ def test_a_folder_appears_whole_or_not_at_all(store):
 
 
 def test_leftovers_of_a_killed_process_are_swept_out(store):
-    (store.folder / "loops" / ".x.1-2.tmp").mkdir(parents=True)
+    (store.folder / "loops" / ".x.1-0123abcd.tmp").mkdir(parents=True)
     (store.folder / "cache").mkdir()
-    (store.folder / "cache" / ".y.1-2.tmp.npy").write_text("half")
+    (store.folder / "cache" / ".y.1-0123abcd.tmp.npy").write_text("half")
     (store.folder / "cache" / "kept.npy").write_text("whole")
     store.close()
     RunStore.open(store.folder).close()
-    assert not (store.folder / "loops" / ".x.1-2.tmp").exists()
+    assert not (store.folder / "loops" / ".x.1-0123abcd.tmp").exists()
     assert [p.name for p in (store.folder / "cache").iterdir()] == ["kept.npy"]
 
 
@@ -102,3 +102,52 @@ def test_newest_unfinished(tmp_path):
             store.finish("done")
         store.close()
     assert newest_unfinished(tmp_path) == tmp_path / "b" / "0"
+
+
+@pytest.mark.parametrize("part", ["../x", "/tmp/x", "loops/../../x"])
+def test_no_path_leads_out_of_the_folder(store, part):
+    with pytest.raises(ConfigError, match="leads out of"):
+        store.path(part)
+    with pytest.raises(ConfigError), store.new_folder(store.folder / part):
+        pytest.fail("made")
+
+
+def test_no_link_leads_out_of_the_folder(store, tmp_path):
+    decoy = tmp_path / "decoy"
+    decoy.mkdir()
+    (decoy / "kept").write_text("kept")
+    for name in ("loops", "weights"):
+        (store.folder / name).symlink_to(decoy)
+    (store.folder / ".x.1-0123abcd.tmp").symlink_to(decoy)
+    for target in (("loops", "00", "slam"), ("weights",)):
+        with pytest.raises(ConfigError, match="leads out of"), store.new_folder(store.folder.joinpath(*target)):
+            pytest.fail("made")
+    store.close()
+    RunStore.open(store.folder).close()
+    assert not (store.folder / ".x.1-0123abcd.tmp").is_symlink()
+    assert [path.name for path in decoy.iterdir()] == ["kept"]
+
+
+def test_only_folders_of_runs_are_replaced(store):
+    with pytest.raises(ConfigError, match="no folder of a run"), store.new_folder(store.folder / "photos"):
+        pytest.fail("made")
+
+
+def test_files_that_only_look_temporary_are_kept(store):
+    for name in (".notes.tmp", ".backup.tmp.npy", "x.1-0123abcd.tmp"):
+        (store.folder / name).write_text("kept")
+    store.close()
+    RunStore.open(store.folder).close()
+    assert {".notes.tmp", ".backup.tmp.npy", "x.1-0123abcd.tmp"} <= {path.name for path in store.folder.iterdir()}
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"step": "a", "result": 5}', '{"step": "a", "result": [1, 3]}'])
+def test_a_step_that_was_changed_is_refused(store, text):
+    store.finish("a", [1, 2])
+    marker = store.folder / "steps" / "a.json"
+    whole = marker.read_text()
+    marker.write_text(whole.replace("2", "3") if text.startswith("{") and "3" in text else text)
+    with pytest.raises(DataError, match="delete it"):
+        store.result("a")
+    marker.write_text(whole)
+    assert store.result("a") == [1, 2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from prgbd.cli.job import Job
 from prgbd.cli.task_options import DepthTask
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
+from prgbd.io.disk import writing
 from prgbd.io.files import write_json
 from prgbd.loop.depth_figures import depth_figures, write_samples
+from prgbd.loop.outcome import Failures
 from prgbd.loop.sensing import DepthSensor
 from prgbd.loop.summary import write_summary
 
@@ -26,11 +29,18 @@ def run(job: Job) -> None:
     sequences = [*job.parts.sequences, *job.parts.test_sequences]
     sensors = [make_sensor(job, sequence) for sequence in sequences]
     written = {}
+    failures = Failures(len(sensors), job.display)
     for sensor in sensors:
         name = sensor.sequence.name
-        written[name] = job.store.step(f"depth/{name}", partial(_write_depth, job, sensor))
-        job.display.say(f"  {name}: {written[name]['frames']} depth maps in {job.shown(job.store.path('depth', name))}")
-    summary = evaluate(job, sensors, {"depth_maps": written})
+        with failures.of(name):
+            written[name] = job.store.step(f"depth/{name}", partial(_write_depth, job, sensor))
+            folder = job.shown(job.store.path("depth", name))
+            job.display.say(f"  {name}: {written[name]['frames']} depth maps in {folder}")
+    if job.store.is_done("recordings") and job.store.result("recordings") != list(written):
+        job.store.forget("loops/00/depth")  # one that failed before is there now
+    job.store.finish("recordings", list(written))
+    sensors = [sensor for sensor in sensors if sensor.sequence.name in written]
+    summary = evaluate(job, sensors, {"depth_maps": written}, errors=failures.reasons)
     report(job, summary)
 
 
@@ -56,6 +66,7 @@ def evaluate(
     sensors: list[DepthSensor],
     more: dict[str, Any] | None = None,
     training: dict[str, Any] | None = None,
+    errors: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Evaluate the predicted depth where there is truth and write the summary.
 
@@ -64,6 +75,7 @@ def evaluate(
         sensors: The network on each sequence.
         more: Further entries of the summary.
         training: Figures of the training that came before.
+        errors: What recordings failed with, by their names.
 
     Returns:
         The summary.
@@ -88,7 +100,7 @@ def evaluate(
         for sensor in sensors:
             sensor.forget()
     sequences = [sensor.sequence for sensor in sensors]
-    return write_summary(job.store, job.identity, sequences, [entry], more=more)
+    return write_summary(job.store, job.identity, sequences, [entry], errors=errors, more=more)
 
 
 def _write_depth(job: Job, sensor: DepthSensor) -> dict[str, Any]:
@@ -132,11 +144,8 @@ def write_depth_png(depth: NDArray[np.float32], path: Path, scale: float) -> int
     Returns:
         The number of pixels too far for 16 bits, written as 65535.
     """
-    import cv2
-
-    path.parent.mkdir(parents=True, exist_ok=True)
     values = np.rint(depth * scale)
-    cv2.imwrite(str(path), np.clip(values, 1, _PNG_MAX).astype(np.uint16))
+    write_image(path, np.clip(values, 1, _PNG_MAX).astype(np.uint16))
     return int(np.count_nonzero(values > _PNG_MAX))
 
 
@@ -144,6 +153,23 @@ def write_preview(depth: NDArray[np.float32], path: Path, near: float, far: floa
     """Write inverse depth in colours, bright for near."""
     import cv2
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     inverse = (np.log(far) - np.log(np.clip(depth, near, far))) / (np.log(far) - np.log(near))
-    cv2.imwrite(str(path), cv2.applyColorMap((255 * inverse).astype(np.uint8), cv2.COLORMAP_MAGMA))
+    write_image(path, cv2.applyColorMap((255 * inverse).astype(np.uint8), cv2.COLORMAP_MAGMA))
+
+
+def write_image(path: Path, image: NDArray[Any]) -> None:
+    """Write an image in the format of the file's suffix; ``cv2.imwrite`` would not say why it could not.
+
+    Args:
+        path: The file; its folder is made if needed.
+        image: (H, W) or (H, W, 3) BGR, as OpenCV has it.
+
+    Raises:
+        DiskError: If the disk is full, or may not be written to.
+    """
+    import cv2
+
+    encoded = cv2.imencode(path.suffix, image)[1]
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(encoded.tobytes())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prgbd.cli.job import Job
+from prgbd.cli.job import Job, look_at
 from prgbd.cli.tasks.reporting import report
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.self_improving import SelfImprovingLoop
@@ -28,5 +28,6 @@ def run(job: Job) -> None:
         baselines=parts.make_baselines,
         monitor=job.display,
         make_viewer=viewer_maker(options.viz or "none"),
+        look=look_at,
     )
     report(job, SelfImprovingLoop(loop).run())

@@ -6,12 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from prgbd.cli.job import Job
+from prgbd.cli.job import Job, look_at
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError
+from prgbd.io.disk import require_writable
 from prgbd.io.export import save_result
 from prgbd.loop.loop_parts import LoopParts
+from prgbd.loop.outcome import Failures
 from prgbd.loop.pose_refinement import step_name
 from prgbd.loop.self_improving import SelfImprovingLoop
 from prgbd.loop.slam_runs import describe_pose, pose_figures, run_slam, sensor_input
@@ -26,10 +28,15 @@ def run(job: Job) -> None:
 
     Raises:
         ConfigError: If one file would have to take the maps of several recordings.
+        DiskError: If a map cannot be saved where it is to lie.
     """
     several = len(job.parts.sequences) + len(job.parts.test_sequences) > 1
     if several and isinstance(job.options.slam.maps.save, Path):
         raise ConfigError("slam.save_map names one file for the maps of several recordings; use slam.save_map=true.")
+    for sequence in (*job.parts.sequences, *job.parts.test_sequences):
+        target = job.options.slam.maps.target(job.store.folder, sequence.name)
+        if target is not None:
+            require_writable(target, "slam.save_map")
     report(job, _on_pseudo_depth(job) if job.parts.mode == "pseudo_rgbd" else _on_recording(job))
 
 
@@ -48,6 +55,7 @@ def _on_pseudo_depth(job: Job) -> dict[str, Any]:
         trainer=job.trainer,
         monitor=job.display,
         make_viewer=viewer_maker(job.options.viz or "none"),
+        look=look_at,
     )
     return SelfImprovingLoop(loop).run()
 
@@ -56,9 +64,12 @@ def _on_recording(job: Job) -> dict[str, Any]:
     sequences = [*job.parts.sequences, *job.parts.test_sequences]
     job.store.step("truth", lambda: write_truth(job.store, sequences))
     pose: dict[str, Any] = {}
+    failures = Failures(len(sequences), job.display)
     for sequence in sequences:
-        pose[sequence.name] = job.store.step(step_name(0, "slam", sequence.name), partial(_localise, job, sequence))
-        job.display.say("  " + describe_pose(sequence.name, pose[sequence.name]))
+        with failures.of(sequence.name):
+            work = partial(_localise, job, sequence)
+            pose[sequence.name] = job.store.step(step_name(0, "slam", sequence.name), work)
+            job.display.say("  " + describe_pose(sequence.name, pose[sequence.name]))
     entry = {
         "loop": 0,
         "name": NAMES[job.parts.mode],
@@ -69,7 +80,7 @@ def _on_recording(job: Job) -> dict[str, Any]:
         "depth_max": {},
     }
     seconds = sum(figures["seconds"] or 0.0 for figures in pose.values())
-    return write_summary(job.store, job.identity, sequences, [entry], seconds=seconds)
+    return write_summary(job.store, job.identity, sequences, [entry], seconds=seconds, errors=failures.reasons)
 
 
 def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
@@ -90,4 +101,4 @@ def _localise(job: Job, sequence: Sequence) -> dict[str, Any]:
     )
     with job.store.new_folder(job.store.loop(0, "slam", sequence.name)) as folder:
         save_result(result, folder, options.export, frame=sequence.frame)
-    return pose_figures(result, sequence, options.evaluation.alignment)
+    return pose_figures(result, sequence, options.evaluation.alignment, look_at)

@@ -24,6 +24,7 @@ from prgbd.core.validation import (
     check_depth_map,
     check_frame,
     check_loss_value,
+    check_name,
     check_prediction,
     check_slam_result,
     check_tracking_result,
@@ -232,6 +233,7 @@ class CheckedSequence(Sequence):
         require(stamps.ndim == 1 and len(stamps) > 0, who, "has no frames; check its folder and its options.")
         require(np.isfinite(stamps).all() and np.all(np.diff(stamps) > 0), who, "has time stamps that do not ascend.")
         require(isinstance(getattr(sequence, "camera", None), PinholeCamera), who, "declares no camera.")
+        check_name(getattr(sequence, "name", None), who)
         self.name, self.camera, self.timestamps = sequence.name, sequence.camera, stamps
         self.baseline, self.concurrent, self.remarks = sequence.baseline, sequence.concurrent, sequence.remarks
         self.depth_levels_per_metre = sequence.depth_levels_per_metre

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from prgbd.core.bare_starts import without_bare_starts
 from prgbd.core.errors import ConfigError, ContractError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
@@ -238,7 +239,10 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._backend.drain()
         self._backend.close()
         stats: dict[str, Any] = {"baseline": self._camera.baseline} | self._adjust() | self._statistics()
-        result = self._front_end.history.result(self._map, self._camera, stats)
+        found = self._front_end.history.result(self._map, self._camera, stats)
+        result = without_bare_starts(found)
+        stats["bare_starts"] = len(found.keyframes) - len(result.keyframes)
+        stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in result.states)
         stats["doubts"] = doubts_about(result, stats.get("full_ba", {}).get("maps", []))
         if stats["doubts"]:
             log.warning("The trajectory is doubtful: %s.", "; ".join(stats["doubts"]))
@@ -260,14 +264,12 @@ class OrbGtsamSLAM(GeometricSLAM):
         return done
 
     def _statistics(self) -> dict[str, Any]:
-        states = self._front_end.history.states
         stats: dict[str, Any] = asdict(self._map.counts) | self._backend.statistics()
         stats["loops"] = self._loops.loops
         stats["starts"] = self._front_end.initializer.starts
         stats["stages_ms"] = self._watch.statistics()
         stats["maps"] = len(self._map.map_ids())
         stats["loaded_keyframes"] = loaded_keyframes(self._map)
-        stats["lost_frames"] = sum(s == TrackingState.LOST.value for s in states)
         stats |= depth_figures(self._front_end.depth_agreements)
         if not self._camera.mono:
             error = depth_error(self._map, self._camera)
