@@ -29,10 +29,10 @@ def require(condition: Any, who: str, what: str) -> None:
 
 def check_name(name: Any, who: str) -> None:
     """Require the name of a recording to be one that a file can have: its results lie in folders of that name."""
-    require(isinstance(name, str), who, f"has the name {name!r}; it must be a text.")
+    require(isinstance(name, str), who, f"is named {name!r}; a name is a text.")
     # Readers of run folders leave hidden files out, and no part of a path may lead elsewhere.
     plain = name.strip() and not name.startswith(".") and name.isprintable() and not set(name) & {"/", "\\"}
-    require(plain, who, f"has the name {name!r}, which no file can have; leave out slashes and a dot in front.")
+    require(plain, who, f"is named {name!r}, which no file can be; leave out slashes and a dot in front.")
     length = len(name.encode(errors="replace"))
     require(length <= LONGEST_NAME, who, f"has a name of {length} bytes; {LONGEST_NAME} is the most that files allow.")
 
