@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
+from prgbd.core.blame import blaming_plugins
 from prgbd.core.data import Sequence
 from prgbd.core.errors import DiskError, NothingTrackedError, PartlyFailedError, PrgbdError
 from prgbd.core.types import SlamResult
@@ -43,7 +44,8 @@ class Failures:
         A disk that cannot be written to is no recording's own and ends the run.
         """
         try:
-            yield
+            with blaming_plugins():
+                yield
         except DiskError:
             raise
         except PrgbdError as error:
