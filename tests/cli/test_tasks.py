@@ -10,7 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.cli.conftest import FAKES
-from tests.loop.fakes import WALL, Sideways
+from tests.loop.fakes import WALL, Sideways, Wall
 
 EVERY_LOOP = {
     "slam/wall/result.npz",
@@ -225,6 +225,21 @@ def test_evaluate_a_network_and_a_trajectory(run):
         assert pose["ate_rmse"] == pytest.approx(before["ate_rmse"], rel=1e-3)
         assert summary["loops"][0]["depth"]["images"] == 12
         Path("run").rename(f"evaluated-{name}")
+
+
+def test_a_trajectory_on_another_clock_is_evaluated_and_said_or_refused(run, cli):
+    sequence = Wall()
+    rows = [(t, *pose[:3, 3], 0, 0, 0, 1) for t, pose in zip(sequence.timestamps, sequence.poses, strict=True)]
+    lines = [" ".join(map(str, (round((1e9 + row[0]) * 1e9), *row[1:]))) for row in rows]
+    Path("ns.tum").write_text("\n".join(lines))
+    pose = run("task=evaluate", "task.trajectory=ns.tum", fakes=("data=test/wall",))["loops"][0]["pose"]["wall"]
+    assert pose["pairs"] == len(sequence)
+    assert pose["ate_rmse"] == pytest.approx(0, abs=1e-6)
+    assert "look like nanoseconds since 1970" in pose["doubts"][0]
+    Path("far.tum").write_text("\n".join(f"{t + 5000} 0 0 0 0 0 0 1" for t in sequence.timestamps))
+    answer = cli("task=evaluate", "task.trajectory=far.tum", "data=test/wall", "out=far")
+    assert answer.code == 2
+    assert "do not meet" in answer.sentence
 
 
 def test_an_existing_run_is_not_overwritten(run, cli):
