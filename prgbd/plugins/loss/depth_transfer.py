@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from torch import Tensor
 
 from prgbd.core.errors import ConfigError
 from prgbd.core.loss import LossInputs, LossTerm
-from prgbd.core.option_ranges import Count, NotNegative
+from prgbd.core.option_ranges import NotNegative, Range
 from prgbd.core.refinement_batch import View
 from prgbd.functional.sparse_losses import Matching, Reduction, Residual, depth_transfer
 from prgbd.functional.warping import invert_rigid
@@ -39,7 +39,7 @@ class DepthTransfer(LossTerm):
     def __init__(
         self,
         weight: NotNegative = 1.0,
-        patch: Count = 5,
+        patch: Annotated[int, Range(1, 101)] = 5,
         matching: Matching = "projected",
         reduction: Reduction = "mean",
         residual: Residual = "absolute",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
-from prgbd.core.option_ranges import Count, CountOrZero, NotNegative, Positive, Seed, Side
+from prgbd.core.option_ranges import NotNegative, Positive, Range, Seed, Side
 from prgbd.core.types import Frame, PinholeCamera
 from prgbd.plugins.data.synthetic.indoor import build_room
 from prgbd.plugins.data.synthetic.render import draw_balls, draw_quads, plane_coefficients
@@ -61,12 +61,12 @@ class SyntheticSequence(Sequence):
         sequence: str | None = None,
         scene: str = "street",
         seed: Seed = 0,
-        frames: Count = 150,
+        frames: Annotated[int, Range(1, 10**6)] = 150,
         width: Side = 384,
         height: Side = 256,
         fps: Positive = 10.0,
         fov: float | None = None,
-        moving_objects: CountOrZero = 0,
+        moving_objects: Annotated[int, Range(0, 1000)] = 0,
         path: str = "loop",
         sensor_depth: bool = False,
         depth_noise: NotNegative = 0.0,
