@@ -17,8 +17,9 @@ log = logging.getLogger("prgbd")
 STRETCHES, LENGTH = 5, 13  # of consecutive frames that are looked at first
 WIDTH = 160  # pixels of the grey pictures that are compared
 MOVES = 1.0  # mean grey levels by which pictures differ at least where the camera moves
-STANDS = 0.12  # of the change before and after it: a frame that changes less repeats the one before
+STANDS = 0.25  # of the change before and after it: a frame that changes less repeats the one before
 LONGEST = 5  # repeats in a row; where the picture stands for longer, the camera stands
+SPAN = 2 * LONGEST + 1  # frames around one that tell how fast the picture moves there
 SHARE = 0.3  # of the frames repeat at least; a camera that is late now and then repeats fewer, which does little harm
 
 CHOICES = ("leave_out", "keep")
@@ -82,7 +83,9 @@ def repeated(changes: NDArray[np.float64]) -> NDArray[np.bool_]:
     marks = np.zeros(len(changes), bool)
     changes = np.append(changes, np.inf)  # beyond the first and the last frame nothing is known: let it move
     changes[0] = np.inf
-    for before, after in itertools.pairwise(np.flatnonzero(changes >= MOVES)):
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(np.where(np.isfinite(changes), changes, 0), LONGEST), SPAN)
+    moving = changes >= np.maximum(MOVES, STANDS * around.max(axis=1))  # a repeat shows the noise of compression
+    for before, after in itertools.pairwise(np.flatnonzero(moving)):
         run = changes[before + 1 : after]
         bound = min(changes[before], changes[after])
         if 1 <= len(run) <= LONGEST and np.isfinite(bound) and np.all(run < STANDS * bound):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import weakref
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,8 +29,18 @@ from prgbd.plugins.data._video_picture import Pictures, matrix, stored_size
 FORWARD = 24  # packets that are decoded and dropped rather than sought over
 ARRIVE = 1000  # packets behind a seek within which a known key frame must come
 
-# The threads of decoders and converters do not live in a forked process; freeing them there would wait for ever.
+_alive: weakref.WeakSet[Any] = weakref.WeakSet()
 _left_behind: list[Any] = []
+
+
+def _leave_behind() -> None:
+    """Keep what decodes and converts in a forked process: its threads are not there, and freeing it waits for them."""
+    _left_behind.extend(_alive)
+    gc.freeze()  # what the collector would come to has such threads as well
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_behind)
 
 
 class VideoReader:
@@ -120,6 +132,7 @@ class VideoReader:
         try:
             if self._pictures is None:
                 self._pictures = Pictures(self._open().aspect)
+                _alive.add(self._pictures)
             return self._pictures.picture(frame)
         except (av.error.FFmpegError, ValueError) as error:
             raise DataError(f"The pixels of {self._path} cannot be converted; convert it, e.g. to MP4.") from error
@@ -155,7 +168,6 @@ class VideoReader:
     def _open(self) -> _Pass:
         """The pass of decoding that is under way, or a new one at the beginning of the file."""
         if self._pass is not None and self._owner != os.getpid():
-            _left_behind.append((self._pass, self._pictures))
             self._pass = self._pictures = None
         if self._pass is None:
             self._pass, self._owner = _Pass(self._path, self.index, self._careful), os.getpid()
@@ -197,6 +209,7 @@ class _Pass:
         self._number[index.packets] = np.arange(len(index.packets))
         self.begun = False
         self.fed = 0
+        _alive.add(self)
         self._reopen()
 
     def begin(self, entry: int) -> None:
@@ -242,7 +255,7 @@ class _Pass:
                     self._ended, packet = True, None
                 else:
                     self.fed += 1
-                    if packet.is_corrupt:
+                    if packet.is_corrupt and self._tells:
                         self._bad = number
             self._out.extend(decode(self._stream.codec_context, packet, number))
         except av.error.FFmpegError:
@@ -257,6 +270,8 @@ class _Pass:
 
     def _reopen(self) -> None:
         self._container, self._stream = open_video(self._path, self._threads)
+        # A transport stream's counters jump where files were joined; where that hurts, the decoder says so itself.
+        self._tells = self._container.format.name != "mpegts"
         self.aspect = float(self._stream.sample_aspect_ratio or 1)
         self._clear(0)
 

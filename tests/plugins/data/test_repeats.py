@@ -27,7 +27,7 @@ def views() -> list[np.ndarray]:
 
 @pytest.mark.parametrize(
     ("suffix", "codec", "options"),
-    [(".mp4", "libx264", {"crf": 30}), (".mp4", "mpeg4", {"qscale": 12}), (".mkv", "ffv1", {"pixels": "bgr0"})],
+    [(".mp4", "libx264", {"crf": 33}), (".mp4", "mpeg4", {"qscale": 12}), (".mkv", "ffv1", {"pixels": "bgr0"})],
 )
 def test_repeats_in_a_video_are_left_out_and_said(views, tmp_path: Path, caplog, suffix, codec, options) -> None:
     path = film(tmp_path / f"doubled{suffix}", (views[i // 2] for i in range(2 * FRAMES)), codec, g=10, **options)

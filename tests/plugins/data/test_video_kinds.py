@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import struct
 from fractions import Fraction
@@ -213,6 +214,38 @@ def test_a_change_of_size_midway_is_named(tmp_path) -> None:
         VideoSequence(path, fov=60).frame(4)
 
 
+def test_a_mirrored_video_comes_out_as_players_show_it(tmp_path) -> None:
+    path = tmp_path / "mirrored.mp4"
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        stream.set_display_rotation(0, hflip=True)
+        for i in range(4):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(coded(i)[:, ::-1]), "rgb24")))
+        file.mux(stream.encode(None))
+    assert [number_of(frame.image) for frame in VideoSequence(path, fov=60, repeats="keep")] == [0, 1, 2, 3]
+
+
+def test_a_stream_that_was_tuned_in_late_begins_at_its_first_key_frame(tmp_path, caplog) -> None:
+    path = film(tmp_path / "late.ts", map(coded, range(FRAMES)), g=12, bf=2, **{"x264-params": "scenecut=0"})
+    data = path.read_bytes()
+    path.write_bytes(data[len(data) // 4 // 188 * 188 :])
+    sequence = VideoSequence(path, fov=60, repeats="keep")
+    assert "The first" in caplog.text
+    assert [number_of(frame.image) for frame in sequence] == list(range(FRAMES - len(sequence), FRAMES))
+    assert sequence.timestamps[0] == 0
+
+
+def test_time_stamps_that_begin_anew_are_not_believed(tmp_path, caplog) -> None:
+    one, path = tmp_path / "one.ts", tmp_path / "joined.ts"
+    film(one, (coded(i % 256) for i in range(150)), "mpeg2video", base=Fraction(1, 30), g=15)
+    path.write_bytes(one.read_bytes() * 2)
+    sequence = VideoSequence(path, fov=60, repeats="keep")
+    assert "does not say when its frames were taken" in caplog.text
+    assert [number_of(sequence.frame(i).image) for i in (0, 149, 150, 299, 40)] == [0, 149, 0, 149, 40]
+    np.testing.assert_allclose(sequence.timestamps, np.arange(300) / 30, atol=1e-3)
+
+
 def test_a_file_that_ends_before_it_says_is_read_to_its_end(tmp_path, caplog) -> None:
     path = film(tmp_path / "cut.avi", map(coded, range(FRAMES)), "mjpeg", pixels="yuvj420p", base=Fraction(1, 30))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -232,12 +265,17 @@ def test_hidden_files_are_no_videos_and_names_are_unique(tmp_path) -> None:
 
 
 def _read(sequence: VideoSequence, numbers: list[int], answers) -> None:
+    gc.collect()
     answers.put([number_of(sequence.frame(i).image) for i in numbers])
 
 
 def test_a_forked_process_opens_the_file_for_itself(tmp_path) -> None:
     sequence = VideoSequence(film(tmp_path / "a.mp4", map(coded, range(FRAMES)), g=8), fov=60, repeats="keep")
     sequence.frame(20)
+    garbage = VideoSequence(tmp_path / "a.mp4", fov=60, repeats="keep")
+    garbage.frame(20)
+    garbage.itself = garbage
+    del garbage  # freed where the collector comes to it, as in the child
     fork = multiprocessing.get_context("fork")
     answers = fork.Queue()
     child = fork.Process(target=_read, args=(sequence, [21, 3, 39], answers))
