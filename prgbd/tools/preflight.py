@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass, field
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
 from prgbd.core.errors import PrgbdError
+from prgbd.plugins.data.focal_length import Pair, fit_focal_length, tracked_pair
 from prgbd.plugins.data.image_motion import WIDTH, Turning, followed, small, turning
 
 PLACES = 10  # in the recording that are looked at
@@ -28,6 +30,9 @@ FIELD_OF_VIEW = (25.0, 130.0)  # degrees, horizontal
 FAR = 25.0  # pixels of motion between the frames that a rotation is fitted to, at most 10 frames apart
 TURNS = 0.06  # of the motion may be left over, at four of five places, where the camera only turns
 FACTORS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8)  # on the focal length
+GAIN, AGREEMENT = 13.0, 0.65  # of another focal length's fit to pairs of images, for it to be said
+OFF = 0.08  # relative difference of that focal length; a finer one is not measured reliably
+FEATURES, SMALL = 1000, 3e4  # that SLAM systems look for in an image; pixels of an image that has no room for them
 BETTER, BETTER_TURNING = 0.6, 0.8  # of the given focal length's left-over that another must reach
 
 
@@ -66,9 +71,7 @@ def preflight(sequence: Sequence) -> Preflight:
     """
     look = _Look()
     begin = time.process_time()
-    places = np.unique(np.linspace(0, max(0, len(sequence) - 2), PLACES).astype(int))[: len(sequence) - 1]
-    # Every third one first, so that few places are spread as well.
-    for start in [int(place) for first in range(3) for place in places[first::3]]:
+    for start in _places(sequence):
         if len(look.levels) >= ENOUGH and time.process_time() - begin > SECONDS:
             break
         try:
@@ -86,6 +89,12 @@ def preflight(sequence: Sequence) -> Preflight:
         facts.append(f"brightness {np.mean(look.levels):.0f} of 255")
     warnings = (*_of_images(look), *_of_turning(sequence, look), *_of_times(sequence), *_of_camera(sequence, fov))
     return Preflight(", ".join(facts), warnings)
+
+
+def _places(sequence: Sequence) -> list[int]:
+    """Return the frames that are looked at: every third place first, so that few of them are spread as well."""
+    places = np.unique(np.linspace(0, max(0, len(sequence) - 2), PLACES).astype(int))[: len(sequence) - 1]
+    return [int(place) for first in range(3) for place in places[first::3]]
 
 
 def _look_at(sequence: Sequence, start: int, look: _Look) -> None:
@@ -148,26 +157,57 @@ def _of_turning(sequence: Sequence, look: _Look) -> list[str]:
     if len(look.turnings) < ENOUGH:
         return []
     left = np.array([seen.left_over for seen in look.turnings])
-    given = FACTORS.index(1.0)
     found = []
-    only = np.quantile(left[:, given], 0.8) < TURNS
+    only = bool(np.quantile(left[:, FACTORS.index(1.0)], 0.8) < TURNS)
     if only:
         sensor = sequence.frame(0).depth is not None
         mend = "the sensor's is needed (slam.mode=rgbd)" if sensor else "move it sideways, or give depth=ID"
         found.append(f"the camera hardly moves, it only turns, which shows no depth; {mend}")
-    fits = left.min(axis=1) < 2.5 * TURNS
-    if fits.sum() >= ENOUGH:
-        turns = left[fits].mean(axis=0)
-        best = int(turns.argmin())
-        better = turns[best] < (BETTER_TURNING if only else BETTER) * turns[given]
-        # A wall that one slides along looks like turning with an ever longer lens: a best one in between is asked for.
-        if better and 0 < best < len(FACTORS) - 1 and abs(best - given) > 1:
-            f = sequence.camera.fx
-            found.append(
-                f"the way it turns fits a focal length of about {FACTORS[best] * f:.0f} pixels better than {f:.0f}; "
-                "check the calibration"
-            )
+    fitting = _coarse_focal_length(sequence, left, only) or _fine_focal_length(sequence)
+    if fitting is not None:
+        f = sequence.camera.fx
+        found.append(
+            f"the way it turns fits a focal length of about {fitting:.0f} pixels better than {f:.0f}; "
+            "check the calibration"
+        )
     return found
+
+
+def _coarse_focal_length(sequence: Sequence, left: NDArray[np.float64], only: bool) -> float | None:
+    """Return a focal length by which rotations alone explain the motion much better than by the given one, or None.
+
+    Args:
+        sequence: The recording.
+        left: (N, F) what the best rotation leaves of the motion with every factor.
+        only: Whether the camera only turns.
+    """
+    fits = left.min(axis=1) < 2.5 * TURNS
+    if fits.sum() < ENOUGH:
+        return None
+    given = FACTORS.index(1.0)
+    turns = left[fits].mean(axis=0)
+    best = int(turns.argmin())
+    better = turns[best] < (BETTER_TURNING if only else BETTER) * turns[given]
+    # A wall that one slides along looks like turning with an ever longer lens: a best one in between is asked for.
+    if better and 0 < best < len(FACTORS) - 1 and abs(best - given) > 1:
+        return FACTORS[best] * sequence.camera.fx
+    return None
+
+
+def _fine_focal_length(sequence: Sequence) -> float | None:
+    """Return a focal length by which the motion of a turning camera fits clearly better than by the given one."""
+    pairs: list[Pair] = []
+    begin = time.process_time()
+    for start in _places(sequence):
+        if time.process_time() - begin > SECONDS and len(pairs) >= ENOUGH:
+            break
+        with contextlib.suppress(PrgbdError):
+            pair = tracked_pair(lambda index: sequence.frame(index).image, start, len(sequence))
+            pairs += [] if pair is None else [pair]
+    fit = fit_focal_length(pairs, sequence.camera)
+    if fit is None or fit.gain < GAIN or fit.agreement < AGREEMENT or abs(fit.factor - 1) < OFF:
+        return None
+    return fit.factor * sequence.camera.fx
 
 
 def _of_times(sequence: Sequence) -> list[str]:
@@ -191,9 +231,14 @@ def _of_camera(sequence: Sequence, fov: float) -> list[str]:
             f"images of {camera.width}x{camera.height} pixels take long and gain little; shrink them (data.width=1280 "
             "for a video)"
         )
+    if camera.width * camera.height < SMALL:
+        found.append(
+            f"images of {camera.width}x{camera.height} are too small for {FEATURES} features, so tracking may never "
+            "begin; use larger images"
+        )
     if not 0.8 < camera.fx / camera.fy < 1.25:
         found.append(f"fx {camera.fx:.0f} and fy {camera.fy:.0f} differ much; are the images squeezed?")
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
-    if off > 0.2:
+    if off > 0.15:
         found.append(f"the principal point lies {off:.0%} of the image off its middle; check cx and cy")
     return found

@@ -96,6 +96,7 @@ def test_a_recording_of_the_field_has_nothing_unusual() -> None:
             "field of view of 3.67 degrees is unlikely; check fx",
         ),
         ({"camera": PinholeCamera.from_fov(320, 240, 1.2)}, "that a field of view is given in degrees"),
+        ({"camera": PinholeCamera.from_fov(160, 107, 60)}, "160x107 are too small for 1000 features"),
         ({"camera": PinholeCamera.from_fov(3840, 2160, 60)}, "images of 3840x2160 pixels take long"),
         ({"camera": PinholeCamera(320, 240, 300.0, 200.0, 160, 120)}, "differ much"),
         ({"camera": PinholeCamera(320, 240, 300.0, 300.0, 20, 120)}, "principal point"),
@@ -103,6 +104,14 @@ def test_a_recording_of_the_field_has_nothing_unusual() -> None:
 )
 def test_what_looks_wrong_is_said(options, words) -> None:
     assert words in preflight(Slide(**options)).lines()[1]
+
+
+def test_a_focal_length_that_is_a_little_wrong_is_said_where_the_camera_turns() -> None:
+    sequence = prgbd.make_data("synthetic", sequence="indoor-0", frames=40)
+    true = sequence.camera
+    sequence.camera = replace(true, fx=0.84 * true.fx, fy=0.84 * true.fy)
+    (words,) = preflight(sequence).warnings
+    assert float(words.split("about ")[1].split()[0]) == pytest.approx(true.fx, rel=0.08)
 
 
 def test_a_camera_that_only_turns_is_moved_or_given_a_network_where_it_has_no_sensor() -> None:

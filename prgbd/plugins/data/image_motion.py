@@ -16,11 +16,11 @@ WIDTH = 320
 MIN_CORNERS = 10
 
 
-def small(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an (H, W, 3) RGB image as grey levels, ``WIDTH`` pixels wide."""
-    height = max(16, round(image.shape[0] * WIDTH / image.shape[1]))
+def small(image: NDArray[np.uint8], width: int = WIDTH) -> NDArray[np.uint8]:
+    """Return an (H, W, 3) RGB image as grey levels, ``width`` pixels wide."""
+    height = max(16, round(image.shape[0] * width / image.shape[1]))
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.asarray(cv2.resize(grey, (WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def followed(
