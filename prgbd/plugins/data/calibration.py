@@ -61,8 +61,10 @@ class Estimate:
             listed = ", ".join(f"{f:.0f}" for f in self.focal_lengths)
             said += f" of {len(self.focal_lengths)} pieces ({listed})"
         if self.spread > SEVERAL_DIFFER:
-            said += "; the pieces differ, so calibrate by checkerboard if you can"
-        return said
+            return f"{said}; the pieces differ, so calibrate by checkerboard if you can"
+        if len(self.focal_lengths) > 1:
+            return f"{said}; that they agree is no proof, since one motion can mislead them all: it may be off by 5 %"
+        return f"{said}; one piece alone, which may be off by 10 % or more"
 
     def to_yaml(self, name: str) -> str:
         """Return the content of a camera file, as ``data=video`` and ``data=images`` read it."""

@@ -34,6 +34,12 @@ def test_pieces_that_differ_are_said() -> None:
     assert "3 pieces (460, 500, 510); the pieces differ" in estimate.words()
 
 
+def test_an_estimate_is_not_sold_as_a_calibration() -> None:
+    camera = PinholeCamera(640, 480, 500, 500, 320, 240)
+    assert "may be off by 10 % or more" in Estimate(camera, (500.0,), 20).words()
+    assert "that they agree is no proof" in Estimate(camera, (495.0, 500.0), 40).words()
+
+
 def test_a_recording_that_stands_still_tells_nothing() -> None:
     pytest.importorskip("pycolmap")
     image = planar_scene(1)[0].image
