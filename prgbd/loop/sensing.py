@@ -20,7 +20,7 @@ from prgbd.core import wrappers
 from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator, weights_fingerprint
-from prgbd.core.errors import ContractError
+from prgbd.core.errors import ContractError, DataError
 from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame
 from prgbd.core.validation import check_depth_shape
@@ -152,10 +152,12 @@ class DepthSensor:
         """Return the predicted depth of a frame at the image's size, (H, W) float32 in the network's unit."""
         self.prepare()
         if self._inverse is None:
-            self._inverse = np.load(self.path, mmap_mode="r")
+            self._inverse = self._stored()
         camera = self.sequence.camera
         # The inverse is what is interpolated: an edge between near and far must not smear towards the far side.
         inverse = np.array(self._inverse[index])
+        if not (np.isfinite(inverse).all() and inverse.min() > 0):
+            raise self._damaged(f"frame {index} holds values that are no depth")
         if inverse.shape != (camera.height, camera.width):
             inverse = cv2.resize(inverse, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
         return (1.0 / inverse).astype(np.float32)
@@ -246,14 +248,47 @@ class DepthSensor:
         pixels = np.concatenate([frame[::step, ::step].ravel() for frame in inverse])
         return float(1.0 / np.percentile(pixels, 100.0 - self.percentile))
 
+    def _stored(self) -> NDArray[np.float32]:
+        """Open the file of inverse depth.
+
+        Raises:
+            DataError: If it is damaged.
+        """
+        try:
+            stored: NDArray[np.float32] = np.load(self.path, mmap_mode="r")
+        except (OSError, ValueError, EOFError, SyntaxError) as error:
+            raise self._damaged(type(error).__name__) from error
+        if not isinstance(stored, np.ndarray) or stored.dtype != np.float32 or stored.ndim != 3 or not stored.size:
+            raise self._damaged("it holds something else")
+        if len(stored) != len(self.sequence):
+            raise self._damaged(f"it holds {len(stored)} frames of {len(self.sequence)}")
+        return stored
+
+    def _damaged(self, why: str) -> DataError:
+        return DataError(
+            f"The predicted depth {self.path} is damaged ({why}); delete it and {self._statistics_path.name}, so that "
+            "it is predicted again."
+        )
+
     def _read_statistics(self) -> DepthStatistics:
+        count = len(self.sequence)
         stored = read_json(self._statistics_path)
+        columns = [stored.get(name) for name in ("median", "maximum")] if isinstance(stored, dict) else []
+        if not columns or not all(_are_depths(column, count) for column in columns):
+            raise self._damaged("its figures are not those of the recording")
+        stored = {"median": columns[0], "maximum": columns[1]}
         if self.percentile < 100:
             # The cache may have been filled under another percentile.
-            stored["depth_max"] = self._percentile(np.load(self.path, mmap_mode="r"))
+            stored["depth_max"] = self._percentile(self._stored())
         else:
             stored["depth_max"] = float(max(stored["maximum"]))
         return DepthStatistics(**stored)
+
+
+def _are_depths(column: Any, count: int) -> bool:
+    """Whether a column of figures has a finite positive number for every frame."""
+    numbers = isinstance(column, list) and all(type(value) in (int, float) for value in column)
+    return numbers and len(column) == count and all(0 < value < float("inf") for value in column)
 
 
 def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str, computing: Many[str] = ()) -> str:

@@ -9,6 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from prgbd.core.errors import PrgbdError
+from prgbd.io.command import exit_code
+from prgbd.io.disk import unwritable
 from prgbd.report import ablation, tables
 from prgbd.report.compare import write_comparison
 from prgbd.report.labels import is_run
@@ -20,8 +22,13 @@ from prgbd.report.table import choose_columns
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return the exit code (2 for input that cannot work)."""
+    """Run the command; return the exit code, see ``ExitCode``."""
     options = _parser().parse_args(arguments)
+    return exit_code(lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Report on every folder; one that cannot be read or written does not stop the others."""
     console = Console() if sys.stdout.isatty() else Console(width=200, color_system=None)
     errors = Console(stderr=True)
     code = 0
@@ -35,9 +42,12 @@ def main(arguments: list[str] | None = None) -> int:
                 written = report(folder, options.columns, options.figures, console)
             for path in written:
                 console.print(str(path), markup=False, highlight=False, soft_wrap=True)
-        except PrgbdError as error:
-            errors.print(str(error), markup=False, highlight=False, soft_wrap=True)
-            code = 2
+        except (PrgbdError, OSError) as error:
+            told = unwritable(error) if isinstance(error, OSError) else error
+            if told is None:
+                raise
+            errors.print(str(told), markup=False, highlight=False, soft_wrap=True)
+            code = told.exit_code
     return code
 
 

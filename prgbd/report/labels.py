@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,13 +10,15 @@ from typing import Any
 
 import pandas as pd
 
+from prgbd.io.reading import read_text
+
 # Options that differ between runs without being what was varied.
 NOT_VARIED = re.compile(r"^(hydra|run|out|output_dir|resume|progress|debug)(\.|$)")
 
 
 def is_run(folder: Path) -> bool:
     """Return whether a folder holds a finished run."""
-    return (folder / "summary.json").is_file()
+    return os.path.isfile(folder / "summary.json")
 
 
 def find_runs(folder: Path | str) -> list[Path]:
@@ -79,6 +82,6 @@ def _yaml(path: Path) -> Any:
     from omegaconf import OmegaConf
 
     try:
-        return OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+        return OmegaConf.to_container(OmegaConf.create(read_text(path, "the options of a run")), resolve=False)
     except Exception:  # a label is no reason to lose a table, and the YAML parsers have many exceptions
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -14,13 +15,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from prgbd.core.errors import DataError
+from prgbd.core.errors import DataError, PrgbdError
 from prgbd.core.types import SlamResult, Trajectory
 from prgbd.io.export import load_result
 from prgbd.io.files import read_json
+from prgbd.io.reading import read_text
 from prgbd.io.trajectory_files import read_tum
+from prgbd.report.summary_schema import check_summary
 
 T = TypeVar("T")
+# What reading a damaged archive of arrays raises, whatever was damaged in it.
+_DAMAGED = (
+    *(OSError, ValueError, KeyError, EOFError, TypeError, NotImplementedError, RuntimeError, MemoryError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 @dataclass(frozen=True)
@@ -101,14 +109,14 @@ class Run:
 
     def text(self, name: str) -> str | None:
         """Return the text of a file of the folder."""
-        return self._read(self.path / name, lambda path: path.read_text(encoding="utf-8", errors="replace"))
+        return self._read(self.path / name, lambda path: read_text(path, "a file of the run"))
 
     def _read(self, path: Path, reader: Callable[[Path], T]) -> T | None:
-        if not path.is_file():
+        if not os.path.isfile(path):
             return None
         try:
             return reader(path)
-        except (DataError, OSError) as error:
+        except (PrgbdError, OSError) as error:
             self.problems.append(str(error))
             return None
 
@@ -120,12 +128,9 @@ def open_run(path: Path | str) -> Run:
         DataError: If there is no readable ``summary.json``.
     """
     path = Path(path)
-    if not (path / "summary.json").is_file():
+    if not os.path.isfile(path / "summary.json"):
         raise DataError(f"{path} is no run folder: it has no summary.json; name the folder of a finished run.")
-    summary = read_json(path / "summary.json")
-    if not isinstance(summary, dict) or not isinstance(summary.get("loops") or [], list):
-        raise DataError(f"{path / 'summary.json'} is not a run summary; see docs/summary-schema.md.")
-    return Run(path, summary)
+    return Run(path, check_summary(read_json(path / "summary.json"), path / "summary.json"))
 
 
 def first_and_last_samples(run: Run) -> list[tuple[str, DepthSamples]]:
@@ -150,10 +155,15 @@ def read_samples(path: Path) -> DepthSamples:
         names = names if len(names) == len(depth) else np.repeat(names[:1], len(depth))
         keys = [(str(name), int(frame)) for name, frame in zip(names, frames, strict=True)]
         truth = arrays.get("truth")
-        if truth is not None and truth.shape != depth.shape:
+        if truth is not None and (truth.shape != depth.shape or truth.dtype.kind not in "fiu"):
             truth = None
-        return DepthSamples(arrays["images"], depth, truth, keys)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        images = arrays["images"]
+        if depth.ndim != 3 or images.dtype != np.uint8 or images.shape != (*depth.shape, 3) or not depth.size:
+            raise ValueError(f"images {images.shape} {images.dtype} for depth {depth.shape}")
+        if not np.isfinite(depth).all():
+            raise ValueError("depth that is not finite")
+        return DepthSamples(images, depth, truth, keys)
+    except _DAMAGED as error:
         raise DataError(f"{path} is not a whole set of depth samples ({type(error).__name__}: {error}).") from error
 
 
@@ -163,7 +173,7 @@ def read_losses(path: Path) -> dict[str, NDArray[np.float64]]:
     Raises:
         DataError: If a cell is not a number.
     """
-    whole, _, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    whole, _, _ = read_text(path, "the losses of a training").rpartition("\n")
     if not whole:
         return {}
     try:

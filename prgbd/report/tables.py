@@ -136,7 +136,7 @@ def depth_table(summary: dict[str, Any]) -> Table:
     if published:
         titles = depth_metrics.TITLES.values()
         rows += [{"loop": f"{n} (paper)", **dict(zip(titles, v, strict=True))} for n, v in published[1].items()]
-        alike = summary.get("data") == "kitti_raw" and all(depth["images"] == EIGEN_IMAGES for _, depth in measured)
+        alike = summary.get("data") == "kitti_raw" and all(depth.get("images") == EIGEN_IMAGES for _, depth in measured)
         other = "as many as here" if alike else "another set of images, so compare the trend"
         note += f" Paper: {published[0]}, 80 m cap; {other}."
     return Table.of("Depth", rows, best=depth_metrics.BEST, note=note, contenders=len(measured))

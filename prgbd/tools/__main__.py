@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
-from prgbd.core.errors import PrgbdError
+from prgbd.io.command import exit_code
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -23,11 +22,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.command is None:
         parser.print_help()
         return 2
-    try:
-        return _run(arguments)
-    except PrgbdError as error:
-        print(f"prgbd: {error}", file=sys.stderr)
-        return 2
+    return exit_code(lambda: _run(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:

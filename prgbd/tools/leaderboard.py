@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from omegaconf import OmegaConf
 
-from prgbd.core.errors import ConfigError, DataError
+from prgbd.core.errors import ConfigError, DataError, PrgbdError
 from prgbd.core.registry import REGISTRY
 from prgbd.core.types import Trajectory
+from prgbd.io.disk import writing
 from prgbd.io.trajectory_files import fill_poses, write_kitti
+from prgbd.loop.store import read_config
 from prgbd.report.reading import Run, judged_sequences, open_run
 
 DATA = "kitti_odometry"
@@ -62,7 +63,8 @@ def write_leaderboard(folder: Path, out: Path | None = None, scale: str = "1") -
         raise DataError(f"{folder} has not finished a loop; go on with it: python -m prgbd resume={folder}")
     factor = _scale(run, scale)
     out = out or run.path / "leaderboard"
-    out.mkdir(parents=True, exist_ok=True)
+    with writing(out / "00.txt"):
+        out.mkdir(parents=True, exist_ok=True)
     return [_write(run, name, out, factor) for name in judged_sequences(run.summary) or run.sequences]
 
 
@@ -98,10 +100,10 @@ def of_camera_0(wTc: NDArray[np.float64], c0Tc: NDArray[np.float64], factor: flo
 def _sequence(run: Run, name: str) -> tuple[int, NDArray[np.float64]]:
     """The number of frames of a whole sequence, and ``c0Tc`` of the camera that the run used."""
     try:
-        config: Any = OmegaConf.to_container(OmegaConf.load(run.path / "config.yaml"), resolve=False)
+        config: Any = read_config(run.path)
         data = config["data"]
         root = Path(str((config.get("run") or {}).get("started_in") or "."), data["root"])
-    except (OSError, KeyError, TypeError, AttributeError) as error:
+    except (PrgbdError, KeyError, TypeError, AttributeError) as error:
         raise DataError(f"{run.path / 'config.yaml'} does not say where the recordings lie; run it again.") from error
     options = {"root": root, "sequence": name, "camera": data.get("camera", "auto")}
     sequence = REGISTRY.make("data", DATA, checks=False, **options)
