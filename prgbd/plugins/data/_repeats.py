@@ -16,7 +16,8 @@ log = logging.getLogger("prgbd")
 
 STRETCHES, LENGTH = 5, 13  # of consecutive frames that are looked at first
 WIDTH = 160  # pixels of the grey pictures that are compared
-MOVES = 1.0  # mean grey levels by which pictures differ at least where the camera moves
+CELL = 8  # pixels of these pictures that are compared together
+MOVES = 4.0  # grey levels by which a cell differs at least where the camera moves
 STANDS = 0.25  # of the change before and after it: a frame that changes less repeats the one before
 LONGEST = 5  # repeats in a row; where the picture stands for longer, the camera stands
 SPAN = 2 * LONGEST + 1  # frames around one that tell how fast the picture moves there
@@ -75,7 +76,7 @@ def repeated(changes: NDArray[np.float64]) -> NDArray[np.bool_]:
     or moves slowly repeats nothing.
 
     Args:
-        changes: (N,) mean grey levels by which each frame differs from the one before, NaN where that is not known.
+        changes: (N,) grey levels by which each frame differs from the one before, NaN where that is not known.
 
     Returns:
         (N,).
@@ -94,7 +95,10 @@ def repeated(changes: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _changes(read: Read, frames: range) -> NDArray[np.float64]:
-    """Mean grey levels between neighbours, (len(frames),), NaN for the first and where a frame cannot be read."""
+    """Return how much each frame differs from the one before, (len(frames),), NaN where that is not known.
+
+    It is the mean grey levels in the cell of the picture that differs most: in a repeat nothing changes anywhere.
+    """
     changes = np.full(len(frames), np.nan)
     last = None
     for at, number in enumerate(frames):
@@ -103,7 +107,9 @@ def _changes(read: Read, frames: range) -> NDArray[np.float64]:
         except DataError:  # the run itself will name it
             grey = None
         if grey is not None and last is not None and grey.shape == last.shape:
-            changes[at] = float(cv2.absdiff(grey, last).mean())
+            change = cv2.absdiff(grey, last)
+            cells = (max(1, change.shape[1] // CELL), max(1, change.shape[0] // CELL))
+            changes[at] = float(cv2.resize(change, cells, interpolation=cv2.INTER_AREA).max())
         last = grey
     return changes
 

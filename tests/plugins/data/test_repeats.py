@@ -53,6 +53,15 @@ def test_repeats_in_a_folder_of_images_are_left_out(views, tmp_path: Path) -> No
     assert len(ImagesSequence(tmp_path, fov=60, repeats="keep")) == 2 * FRAMES
 
 
+def test_a_picture_that_differs_in_one_place_is_no_repeat(views) -> None:
+    images = [views[i // 2].copy() for i in range(2 * FRAMES)]
+    for i, image in enumerate(images):
+        image[:6, :6] = 255 * (i % 2)
+    stay, said = without_repeats(images.__getitem__, len(images), "the drive", "leave_out")
+    assert len(stay) == len(images)
+    assert not said
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -66,11 +75,11 @@ def test_repeats_in_a_folder_of_images_are_left_out(views, tmp_path: Path) -> No
     ],
 )
 def test_other_motions_repeat_nothing(changes) -> None:
-    assert not repeated(np.array([np.nan, *changes])).any()
+    assert not repeated(10 * np.array([np.nan, *changes])).any()
 
 
 def test_repeats_of_any_rhythm_are_seen() -> None:
-    assert repeated(np.array([np.nan, 0.0, 5, 0, 4, 0.3, 5, 0, 0, 0, 6, 0])).sum() == 7
+    assert repeated(10 * np.array([np.nan, 0.0, 5, 0, 4, 0.3, 5, 0, 0, 0, 6, 0])).sum() == 7
 
 
 def test_what_is_read_stays_bounded_and_unreadable_frames_stay(views) -> None:
