@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import OmegaConf
 
 from prgbd.cli.display import Display, log_file, quiet
+from prgbd.cli.hydra_errors import known_options
 from prgbd.cli.options import RunOptions, read_options
 from prgbd.cli.parts import Parts, make_parts
 from prgbd.cli.run_folder import RunFolder
 from prgbd.cli.settings import check_machine, trainer_factory, use_threads
 from prgbd.core.blame import blaming_plugins
 from prgbd.core.errors import ConfigError, PartlyFailedError, PrgbdError
+from prgbd.core.option_errors import unknown_option
+from prgbd.core.registry import KINDS
 from prgbd.io.command import complain
 from prgbd.io.files import atomic_path, read_json, to_plain
 from prgbd.loop.outcome import failure
@@ -93,6 +96,7 @@ def start(config: dict[str, Any], folder: Path, overrides: list[str], choices: M
     quiet()
     about = {"version": __version__, "started_in": os.getcwd(), "overrides": overrides, "choices": dict(choices)}
     try:
+        _refuse_unread(config, overrides)
         options = read_options(config)
         noted = {**config, META: {**about, "threads": use_threads(options.threads)}}
         check_machine(options, config)
@@ -230,6 +234,21 @@ def _look_at_recordings(job: Job, task: str) -> None:
         facts, verdict = preflight(sequence).lines()
         job.display.say(f"  {sequence.name}: {facts}")
         job.display.say(f"  {' ' * len(sequence.name)}  {verdict}")
+
+
+def _refuse_unread(config: Mapping[str, Any], overrides: list[str]) -> None:
+    """Refuse what was added to the configuration by a plus (``+foo=3``) and nothing reads.
+
+    Raises:
+        ConfigError: With the nearest option.
+    """
+    known = known_options()
+    read = {name.partition(".")[0] for name in known} | {*KINDS, "trainer", "logger"}
+    for override in overrides:
+        key = override.partition("=")[0].lstrip("+")
+        top = key.partition(".")[0]
+        if override.startswith("+") and top in config and top not in read:
+            raise unknown_option(key, known)
 
 
 def _note_overrides(folder: Path, overrides: list[str]) -> None:

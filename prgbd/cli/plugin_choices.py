@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from prgbd.core.errors import DataError
 from prgbd.core.option_ranges import Positive
 from prgbd.core.options import from_mapping
+from prgbd.io.reading import require_file
 from prgbd.loop.map_files import MapFiles
 
 
@@ -49,8 +49,8 @@ class SlamChoice(PluginChoice):
     save_map: bool | Path | None = False
 
     def __post_init__(self) -> None:
-        if self.load_map is not None and not self.load_map.is_file():
-            raise DataError(f"There is no map {self.load_map}; make one with slam.save_map.")
+        if self.load_map is not None:
+            require_file(self.load_map, "slam.load_map, a map that slam.save_map made")
 
     @property
     def fixed_baseline(self) -> float | None:

@@ -186,7 +186,7 @@ def test_maps_that_cannot_be_are_named(cli):
 
     assert "Sideways cannot save its map" in sentence("task=slam", "+slam.save_map=true")
     Path("wrong").rename("stopped")
-    assert "no map absent.npz" in sentence("task=slam", "+slam.load_map=absent.npz")
+    assert "no file absent.npz" in sentence("task=slam", "+slam.load_map=absent.npz")
     assert "add task=slam" in sentence("+slam.save_map=true")
     assert "slam.save_map=true" in sentence(
         "task=slam", "+slam.save_map=one.npz", "data.root=.", "data.sequences=[00,10]"

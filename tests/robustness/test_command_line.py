@@ -42,6 +42,8 @@ SLAM = ("slam=orb_gtsam", "task=slam")
         (["slam={a:1}"], "takes one choice"),
         ([*SLAM, "~nope"], "There is no option 'nope'"),
         ([*SLAM, "data.frames=${nope}"], "refers to ${nope}, which is no option"),
+        ([*SLAM, "++foo=3"], "There is no option 'foo'"),
+        ([*SLAM, "+foo.bar=3"], "There is no option 'foo.bar'"),
         ([*SLAM, "foo.bar=3"], "There is no option 'foo.bar'"),
         ([*SLAM, "data.frames=" + "1" * 5000], "thousands of digits"),
         ([*SLAM, "data.frames=1e400"], "data.frames is inf"),
