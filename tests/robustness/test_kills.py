@@ -29,12 +29,12 @@ def test_killed_at_any_moment_and_resumed():
     subprocess.run([sys.executable, "-c", PROGRAM, *FAKES, *task, "out=whole"], env=ENVIRONMENT, check=True)
     longest = time.monotonic() - begin
     whole = without_times(json.loads(Path("whole/summary.json").read_text()))
-    for run in range(KILLS):
+    for run in (f"run-{number}" for number in range(KILLS)):
         process = subprocess.Popen([sys.executable, "-c", PROGRAM, *FAKES, *task, f"out={run}"], env=ENVIRONMENT)
         time.sleep(random.uniform(0.4 * longest, longest))
         process.kill()
         process.wait()
-        if not Path(str(run), "config.yaml").exists():
+        if not Path(run, "config.yaml").exists():
             continue
         resumed = subprocess.run(
             [sys.executable, "-c", PROGRAM, f"resume={run}"], env=ENVIRONMENT, capture_output=True, text=True
