@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -207,30 +206,6 @@ def plausible(
             "it belongs to another image size or is malformed."
         )
     return PinholeCamera(width, height, fx, fy, cx, cy, distortion)
-
-
-class Undistorter:
-    """Removes a camera's distortion from images and depth maps; does nothing for a camera without distortion."""
-
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._maps: tuple[Any, Any] | None = None
-        if any(camera.distortion):
-            size = (camera.width, camera.height)
-            coefficients = np.array(camera.distortion)
-            maps = cv2.fisheye if isinstance(camera, FisheyeCamera) else cv2
-            self._maps = maps.initUndistortRectifyMap(camera.K, coefficients, np.eye(3), camera.K, size, cv2.CV_32FC1)
-
-    def image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the undistorted (H, W, 3) image; what the camera did not see is black."""
-        if self._maps is None:
-            return image
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), np.uint8)
-
-    def depth(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the undistorted (H, W) depth by nearest neighbours, so that no depth between two surfaces arises."""
-        if self._maps is None:
-            return depth
-        return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), np.float32)
 
 
 def _whole(value: Any, what: str) -> int:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.errors import DataError
 from prgbd.core.types import PinholeCamera
+from prgbd.core.undistortion import Maps, undistortion_maps
 
 log = logging.getLogger("prgbd")
 
@@ -32,6 +34,13 @@ class FisheyeCamera(PinholeCamera):
     def undistorted(self) -> PinholeCamera:
         """Return the pinhole camera of the undistorted images; it has the same focal length."""
         return PinholeCamera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+
+
+@undistortion_maps.register
+def _fisheye_maps(camera: FisheyeCamera) -> Maps:
+    size, coefficients = (camera.width, camera.height), np.array(camera.distortion)
+    u, v = cv2.fisheye.initUndistortRectifyMap(camera.K, coefficients, np.eye(3), camera.K, size, cv2.CV_32FC1)
+    return np.asarray(u, np.float32), np.asarray(v, np.float32)
 
 
 def check_lens(camera: PinholeCamera, source: str, model: str | None) -> None:

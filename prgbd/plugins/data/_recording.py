@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame, PinholeCamera
-from prgbd.plugins.data._camera import Undistorter
+from prgbd.core.undistortion import Undistorter
 from prgbd.plugins.data._depth_files import DepthFormat, DepthReader
 from prgbd.plugins.data._images import common_levels, read_image
 from prgbd.plugins.data._repeats import without_repeats

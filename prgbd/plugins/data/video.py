@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from prgbd.core.data import Sequence
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import Frame, PinholeCamera
+from prgbd.core.undistortion import Undistorter
 from prgbd.io.naming import safe_name
 from prgbd.io.reading import require_file, visible
-from prgbd.plugins.data._camera import Undistorter, known_or_estimated
+from prgbd.plugins.data._camera import known_or_estimated
 from prgbd.plugins.data._images import SUFFIXES as IMAGE_SUFFIXES
 from prgbd.plugins.data._recording import VIDEO_SUFFIXES, check_index, choose, frame_range
 from prgbd.plugins.data._repeats import without_repeats

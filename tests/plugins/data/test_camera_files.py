@@ -10,7 +10,8 @@ import pytest
 
 from prgbd.core.errors import DataError
 from prgbd.core.types import PinholeCamera
-from prgbd.plugins.data._camera import Undistorter, camera_from_values, make_camera
+from prgbd.core.undistortion import Undistorter
+from prgbd.plugins.data._camera import camera_from_values, make_camera
 from prgbd.plugins.data._lens import FisheyeCamera
 
 CAMERA = PinholeCamera(640, 480, 500, 510, 318, 242, (0.1, -0.2, 0.001, -0.002, 0.05))

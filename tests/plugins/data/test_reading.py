@@ -10,7 +10,8 @@ import pytest
 
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.core.types import PinholeCamera
-from prgbd.plugins.data._camera import Undistorter, make_camera
+from prgbd.core.undistortion import Undistorter
+from prgbd.plugins.data._camera import make_camera
 from prgbd.plugins.data._images import common_levels, list_images, read_image
 from prgbd.plugins.data._recording import as_poses, frame_range
 from tests.plugins.data.written import cut, picture, write_depth, write_picture

@@ -8,8 +8,8 @@ import pytest
 
 import prgbd
 from prgbd.core.types import Frame
+from prgbd.core.undistortion import Undistorter
 from prgbd.evaluation.trajectory import evaluate_trajectory
-from prgbd.plugins.data._camera import Undistorter
 from prgbd.plugins.data.tum_rgbd import FAMILIES, TumRgbdSequence
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.features.frame_reader import FrameReader
