@@ -81,7 +81,9 @@ def why_not_tracked(result: SlamResult, sequence: Sequence, look: Look | None = 
         clauses.append(
             f"images of {camera.width}x{camera.height} pixels are too small to find features in (640x480 is usual)"
         )
-    clauses += [] if look is None else list(look(sequence))
+    seen = [] if look is None else list(look(sequence))
+    # A look has its own words for small images; once is enough.
+    clauses += [clause for clause in seen if not (clauses and clause.startswith("images of"))]
     if result.stats.get("bare_starts", 0) > 1:
         clauses.append(
             "no frame was found again in the map that the one before it had started; check the depth and its unit, "
