@@ -72,7 +72,7 @@ _LOOP = {
     "folder": _inside,
     "pose": {OTHER: _POSE},
     "depth": _DEPTH,
-    "training": {OTHER: _scalar},
+    "training": {"still_frames": _NUMBERS, OTHER: _scalar},
     "baseline": _NUMBERS,
     "depth_max": _NUMBERS,
     "seconds": _number,
