@@ -54,7 +54,7 @@ def read_arrays(path: Path | str, schema: Mapping[str, Entry], what: str) -> dic
         what: What the file is, for the messages, such as ``"map of orb_gtsam"``.
 
     Returns:
-        The arrays, with finite numbers within their limits.
+        The arrays, with finite numbers within their limits; those that count something else's rows are int64.
 
     Raises:
         DataError: If the file is absent, damaged, or holds something else; the message names the array.
@@ -71,6 +71,8 @@ def read_arrays(path: Path | str, schema: Mapping[str, Entry], what: str) -> dic
             arrays = {name: _read(archive, name) for name in present}
         for name, array in arrays.items():
             _check_values(name, array, schema[name], lengths)
+            if schema[name].below:
+                arrays[name] = array.astype(np.int64, copy=False)
     except Exception as error:  # what the decoders raise for bytes that are not theirs is theirs to choose
         raise DataError(f"{path} is not a whole {what} ({_reason(error)}); make it anew.") from error
     return arrays

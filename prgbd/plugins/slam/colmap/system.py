@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -55,7 +55,7 @@ class ColmapSLAM(GeometricSLAM):
     def __init__(
         self,
         every: Count = 5,
-        intrinsics: str = "given",
+        intrinsics: Literal["given", "refine", "unknown"] = "given",
         features: Count = 4096,
         overlap: Count = 10,
         init_max_forward_motion: NotNegative = 1.0,
