@@ -178,6 +178,8 @@ def converted(value: Any, annotation: Any, key: str) -> Any:
         raise refused(key, value, annotation)
     if annotation in (int, float):
         return _number(value, annotation, key)
+    if annotation is str and isinstance(value, float) and not math.isfinite(value):
+        raise refused(key, value, annotation)  # what a broken calculation left; a text of that name has quotes
     return _by_omegaconf(value, annotation, key)
 
 
@@ -285,7 +287,7 @@ def default_of(option: Field[Any]) -> Any:
 
 def _check_names(given: Mapping[str, Any], names: Iterable[str], prefix: str, known: Iterable[str]) -> None:
     if not isinstance(given, Mapping):
-        raise ConfigError(f"{prefix} is {given!r}; it must be a group of options.")
+        raise ConfigError(f"{prefix} is {shown(given)}; it must be a group of options.")
     for name in given:
         if name not in names:
             raise unknown_option(dotted(prefix, name), known)

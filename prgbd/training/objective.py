@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from prgbd.core.errors import ConfigError
+from prgbd.core.option_errors import shown
 from prgbd.core.option_ranges import NotNegative, Share
 from prgbd.core.options import converted
 from prgbd.core.registry import REGISTRY, SHORT_FOR
@@ -37,14 +38,15 @@ def read_nodes(kind: str, nodes: Nodes) -> dict[str, tuple[str, dict[str, Any]]]
         UnknownPluginError: If there is no such plug-in.
     """
     if not isinstance(nodes, Mapping):
-        raise ConfigError(f"{kind} is {nodes!r}; give options such as {kind}.ID.{SHORT_FOR[kind]}=0.5.")
+        raise ConfigError(f"{kind} is {shown(nodes)}; give options such as {kind}.ID.{SHORT_FOR[kind]}=0.5.")
     found = {}
     for name, node in nodes.items():
         if isinstance(node, int | float) and not isinstance(node, bool):
             node = {SHORT_FOR[kind]: node}
         if not isinstance(node, Mapping):
             raise ConfigError(
-                f"{kind}.{name} is {node!r}; give options such as {kind}.{name}.{SHORT_FOR[kind]}=0.5, or that number."
+                f"{kind}.{name} is {shown(node)}; give options such as {kind}.{name}.{SHORT_FOR[kind]}=0.5, "
+                "or that number."
             )
         options = {str(key): value for key, value in node.items()}
         plugin_id = REGISTRY.find(kind, str(options.pop("id", name))).id

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import uuid
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,7 @@ def test_faults_of_plugins(here: Path, place: tuple[str, str], fault: tuple[Any,
         chosen = "loss.test/broken.weight=1" if kind == "loss" else f"{'' if kind == 'data' else '+'}{kind}=test/broken"
         written: list[str] = []
         patch.setattr(sys.stderr, "write", lambda text: written.append(text) or len(text))
-        code = main([*COMMAND, chosen, f"out=run-{number}", f"seed={number % 7}"])
+        code = main([*COMMAND, chosen, f"out=run-{uuid.uuid4().hex}", f"seed={number % 7}"])
     output = "".join(written)
     judged_exit(f"plug-ins that raise in {kind}", code, output)
     # What a run of these small parts never calls may be broken without anybody noticing.
