@@ -18,7 +18,6 @@ Look = Callable[[Sequence], Iterable[str]]
 """Looks at a recording and returns a clause for each thing that seems wrong with it."""
 
 LEAST_POSES = 2  # frames with a pose that make a trajectory
-SMALL = 60_000  # pixels of an image below which its features are too few and too coarse: 300 x 200
 MOST_NAMED = 3  # recordings in a sentence
 
 
@@ -75,22 +74,16 @@ def why_not_tracked(result: SlamResult, sequence: Sequence, look: Look | None = 
     """
     if result.tracked_frames >= LEAST_POSES:
         return None
-    camera = sequence.camera
-    clauses = []
-    if camera.width * camera.height < SMALL:
-        clauses.append(
-            f"images of {camera.width}x{camera.height} pixels are too small to find features in (640x480 is usual)"
-        )
-    seen = [] if look is None else list(look(sequence))
-    # A look has its own words for small images; once is enough.
-    clauses += [clause for clause in seen if not (clauses and clause.startswith("images of"))]
+    clauses = [] if look is None else list(look(sequence))
     if result.stats.get("bare_starts", 0) > 1:
         clauses.append(
             "no frame was found again in the map that the one before it had started; check the depth and its unit, "
             "the order of the frames, and that the images show a scene"
         )
+    camera = sequence.camera
     return "; ".join(clauses) or (
-        "the camera may stand still or only turn, the frames be out of order, or the calibration be wrong"
+        "the camera may stand still or only turn, the frames be out of order, the images be too small "
+        f"({camera.width}x{camera.height}), or the calibration be wrong"
     )
 
 

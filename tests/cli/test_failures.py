@@ -64,7 +64,7 @@ def test_a_run_that_tracked_nothing_says_so(cli, monkeypatch, real_report):
     monkeypatch.setattr(Sideways, "finish", lambda self: replace(finish(self), trajectory=Trajectory.empty()))
     answer = cli(*FAKES, "task=slam", "out=run")
     assert answer.code == ExitCode.NOTHING_TRACKED
-    assert "Nothing was tracked in wall: images of 96x64 pixels are too small" in answer.sentence
+    assert "Nothing was tracked in wall: images of 96x64 are too small" in answer.sentence
     assert summary()["loops"][0]["pose"]["wall"]["failed"].startswith("images of 96x64")
     assert "The run failed. Nothing was tracked in wall" in Path("run/report.html").read_text()
     again = cli("resume=run")
