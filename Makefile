@@ -32,7 +32,7 @@ test: $(VENV)/.extras  ## Run the tests, after adding all extras
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 fuzz: $(VENV)/.extras  ## Try some thousand damaged and hostile inputs, other ones each time (10 minutes)
-	PRGBD_FUZZ=large $(BIN)/python -m pytest -n $(JOBS) --dist load tests/robustness
+	PRGBD_FUZZ=large $(BIN)/python -m pytest -n $(JOBS) --dist worksteal tests/robustness
 
 coverage: $(VENV)/.extras  ## Run the tests and print how much of the Python code they execute
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --cov --cov-report=term:skip-covered

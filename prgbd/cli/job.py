@@ -19,12 +19,12 @@ from omegaconf import OmegaConf
 
 from prgbd.cli.display import Display, log_file, quiet
 from prgbd.cli.hydra_errors import known_options
-from prgbd.cli.options import RunOptions, read_options
+from prgbd.cli.options import MOST_THREADS, RunOptions, read_options
 from prgbd.cli.parts import Parts, make_parts
 from prgbd.cli.run_folder import RunFolder
 from prgbd.cli.settings import check_machine, trainer_factory, use_threads
 from prgbd.core.blame import blaming_plugins
-from prgbd.core.errors import ConfigError, PartlyFailedError, PrgbdError
+from prgbd.core.errors import ConfigError, DataError, PartlyFailedError, PrgbdError
 from prgbd.core.option_errors import unknown_option
 from prgbd.core.registry import KINDS
 from prgbd.io.command import complain
@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("prgbd")
 META = "run"  # the key of config.yaml under which prgbd keeps its own notes
+# What they are, and the groups that a run's configuration has whatever its plug-ins.
+_NOTES = {"overrides": list, "choices": dict, "started_in": str, "threads": int}
+_GROUPS = ("task", "data", "training", "trainer", "logger")
 NO_PART = (META, "out", "resume", "debug", "progress", "viz")  # of what makes two runs the same
 MOST_LOOKS = 8  # recordings that are looked at before a run
 
@@ -128,6 +131,7 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
     folder = folder.resolve()
     store = RunStore.open(folder)
     try:
+        check_saved(store.config, folder)
         config = {key: value for key, value in store.config.items() if key != META} | dict(changes)
         display = make_display(config.get("progress", "auto"))
         if store.is_finished:
@@ -143,6 +147,20 @@ def resume(folder: Path, changes: Mapping[str, Any]) -> None:
             _run(Job(config, options, parts, store, display, here))
     finally:
         store.close()
+
+
+def check_saved(config: Mapping[str, Any], folder: Path) -> None:
+    """Refuse the configuration of a run that has lost parts.
+
+    Raises:
+        DataError: If a group that every run has is absent, or prgbd's own notes are none.
+    """
+    notes = config.get(META, {})
+    whole = isinstance(notes, dict) and all(isinstance(notes.get(key, made()), made) for key, made in _NOTES.items())
+    whole = whole and 1 <= notes.get("threads", 1) <= MOST_THREADS
+    lost = [group for group in _GROUPS if not isinstance(config.get(group), dict)] + [META] * (not whole)
+    if lost:
+        raise DataError(f"{folder / CONFIG} is damaged (its part {lost[0]} is not what a run writes); start a new run.")
 
 
 def holds_same_run(folder: Path, config: Mapping[str, Any]) -> bool:

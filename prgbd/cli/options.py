@@ -18,6 +18,8 @@ from prgbd.loop.loop_settings import LoopSettings, SelfImprovement, SensingSetti
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_settings import RefinementSettings
 
+MOST_THREADS = 1024
+
 
 @dataclass(frozen=True)
 class CommonOptions:
@@ -43,7 +45,7 @@ class CommonOptions:
     """
 
     seed: Seed = 0
-    threads: Annotated[int, Range(1, 1024)] | None = None
+    threads: Annotated[int, Range(1, MOST_THREADS)] | None = None
     out: str = "outputs"
     resume: str | None = None
     debug: bool = False

@@ -31,7 +31,9 @@ def resume(value: str, arguments: Sequence[str]) -> None:
     if is_multirun(arguments):
         raise ConfigError("The runs of a multirun are resumed one by one; drop -m, and resume=FOLDER_OF_A_RUN.")
     folder = newest_unfinished(OUTPUTS) if value.lower() == "last" or is_true(value) else Path(value.strip("'\""))
-    job.resume(folder, _changes(read_config(folder), arguments, folder))
+    config = read_config(folder)
+    job.check_saved(config, folder)
+    job.resume(folder, _changes(config, arguments, folder))
 
 
 def _changes(config: dict[str, Any], arguments: Sequence[str], folder: Path) -> dict[str, Any]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import ClassVar
 
 from prgbd.core.exit_codes import ExitCode
+
+# A path, a name or a value of the input's; the longest path that Linux opens would fill a screen with 4096 characters.
+_LONG_WORD = re.compile(r"(\S{60})\S{180,}(\S{40})")
 
 
 class PrgbdError(Exception):
@@ -15,6 +19,10 @@ class PrgbdError(Exception):
     """
 
     exit_code: ClassVar[ExitCode] = ExitCode.INPUT
+
+    def __str__(self) -> str:
+        """The message, with what the input put into it kept to a length that somebody still reads."""
+        return _LONG_WORD.sub(r"\1...\2", super().__str__())
 
 
 class ConfigError(PrgbdError):

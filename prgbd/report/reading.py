@@ -89,7 +89,7 @@ class Run:
         """Return the folder of a loop or baseline."""
         if loop.get("folder"):
             return self.path / str(loop["folder"])
-        return self.path / "loops" / f"{int(loop.get('loop', 0)):02d}"
+        return self.path / "loops" / f"{int(loop.get('loop') or 0):02d}"
 
     def result(self, loop: dict[str, Any], sequence: str) -> SlamResult | None:
         """Return what SLAM found out about a sequence in a loop."""

@@ -112,7 +112,7 @@ def depth_basis(depth: dict[str, Any]) -> str:
     if depth.get("crop") not in (None, "none"):
         parts.append(f"{depth['crop']} crop")
     parts.append("median scaling" if depth.get("median_scaling", True) else "no median scaling")
-    count = depth.get("images", 0)
+    count = depth.get("images") or 0
     parts.append(f"{count} image" + "s" * (count != 1))
     return ", ".join(parts)
 

@@ -49,7 +49,8 @@ def read_nodes(kind: str, nodes: Nodes) -> dict[str, tuple[str, dict[str, Any]]]
                 "or that number."
             )
         options = {str(key): value for key, value in node.items()}
-        plugin_id = REGISTRY.find(kind, str(options.pop("id", name))).id
+        wanted = converted(options.pop("id", str(name)), str, f"{kind}.{name}.id")
+        plugin_id = REGISTRY.find(kind, wanted).id
         checked = REGISTRY.checked_options(kind, plugin_id, options, f"{kind}.{name}")
         if (short := SHORT_FOR[kind]) in checked:  # plug-ins of others may declare no range
             converted(checked[short], RANGES[kind], f"{kind}.{name}.{short}")

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from tests.cli.conftest import FAKES
 from tests.cli.test_tasks import without_times
@@ -205,3 +206,14 @@ def test_a_resumed_run_keeps_its_number_of_threads(cli, monkeypatch):
         assert json.loads(Path("killed/summary.json").read_text())["threads"] == 3
     finally:
         torch.set_num_threads(1)
+
+
+@pytest.mark.parametrize("lost", ["training", "trainer"])
+def test_a_configuration_that_lost_a_part_is_refused(run, cli, lost):
+    run("task.max_loops=0")
+    saved = OmegaConf.load("run/config.yaml")
+    del saved[lost]
+    OmegaConf.save(saved, "run/config.yaml")
+    answer = cli("resume=run")
+    assert answer.code == 2
+    assert f"its part {lost} is not what a run writes" in answer.sentence

@@ -8,13 +8,16 @@ A test of this folder looks like::
         with judged("time lists"):
             read_times(values)
 
-``make test`` tries ``small`` inputs, the same each time; ``make fuzz`` tries ``large``, other ones each time.
+``make test`` tries ``small`` inputs, the same each time; ``make fuzz`` tries ``large``, other ones each time, or as
+many as fit into ``SECONDS``.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 
@@ -23,6 +26,8 @@ from hypothesis import HealthCheck, Phase, settings
 from prgbd.core.errors import PrgbdError
 
 LARGE = os.environ.get("PRGBD_FUZZ") == "large"
+SECONDS = 80.0  # of one property-based test in `make fuzz`; inputs that are whole runs take most of them
+ROUNDS = 10  # in which the inputs of a test are tried, so that it can stop between two
 LONGEST = 700  # characters of a sentence that somebody still reads
 ACCEPTED, REFUSED = "accepted", "refused"
 
@@ -32,14 +37,38 @@ TALLY: Counter[tuple[str, str]] = Counter()
 
 def examples(small: int, large: int) -> Callable:
     """Decorate a property-based test with the number of inputs in ``make test`` and in ``make fuzz``."""
+
+    def decorate(test: Callable) -> Callable:
+        if not LARGE:
+            return _profile(small)(test)
+        return repeated(_profile(max(1, large // ROUNDS))(test), SECONDS)
+
+    return decorate
+
+
+def _profile(inputs: int) -> settings:
     return settings(
-        max_examples=large if LARGE else small,
+        max_examples=inputs,
         derandomize=not LARGE,
         deadline=None,
         database=None,
         phases=(Phase.explicit, Phase.generate, Phase.shrink) if LARGE else (Phase.explicit, Phase.generate),
         suppress_health_check=list(HealthCheck),
     )
+
+
+def repeated(test: Callable, seconds: float) -> Callable:
+    """Return a test that runs ``ROUNDS`` times, each with other inputs, or until its time is over."""
+
+    @functools.wraps(test)
+    def rounds(*args, **kwargs) -> None:
+        end = time.monotonic() + seconds
+        for _ in range(ROUNDS):
+            test(*args, **kwargs)
+            if time.monotonic() > end:
+                return
+
+    return rounds
 
 
 def count(small: int, large: int) -> int:
