@@ -190,8 +190,14 @@ class DepthOptions:
         sigma: Standard deviation of a measured depth as a share of it, or "auto": 0 for a sensor (its error is that of
             a keypoint, as in ORB-SLAM2), 0.15 for pseudo depth.
         sigma_far: Growth of that share per baseline of depth.
+        follow: Whether every frame's depth is divided by its scale against the map, so that geometry holds the scale
+            from keyframe to keyframe, and the drift that it leaves is taken out at the end, as far as the covariance
+            of bundle adjustment allows and the depth of all keyframes together tells; or "auto": for pseudo depth,
+            whose scale wanders, unless ``shared`` says what it counts. false is the paper's coupling, which takes
+            depth as it is.
         shared: Observations whose depths err together; the optimisers divide the depths' weight by it. "auto": 1 for a
-            sensor; half of the keypoints of a frame for pseudo depth, so that a frame's depths count about as one.
+            sensor; so many where depth follows the map that it has no say about poses; for pseudo depth that does
+            not, half of the keypoints of a frame, so that a frame's depths count about as one.
         fallback: Whether observations whose depth disagrees go on as monocular ones instead of being outliers, or
             "auto": for pseudo depth only.
         border: Keypoints whose surrounding depth differs by more than this share make no stereo observation; 0 allows
@@ -203,12 +209,19 @@ class DepthOptions:
     gate: bool = True
     sigma: NotNegative | Auto = AUTO
     sigma_far: NotNegative = 0.0
+    follow: bool | Auto = AUTO
     shared: Annotated[float, Range(1)] | Auto = AUTO
     fallback: bool | Auto = AUTO
     border: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         check_types(self, "slam.depth")
+
+    def follows(self, mode: str) -> bool:
+        """Say whether depth follows the scale of the map in a mode of the system."""
+        if self.follow == AUTO:
+            return mode == "pseudo_rgbd" and self.shared == AUTO
+        return self.follow and mode in ("rgbd", "pseudo_rgbd")
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,12 @@ from prgbd.plugins.slam.orb_gtsam.map.map_correction import follow_baseline
 from prgbd.plugins.slam.orb_gtsam.map.map_file import load_map, loaded_keyframes, save_map
 from prgbd.plugins.slam.orb_gtsam.mapping.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.mapping.scale_drift import correct_scale, give_depth_back
 from prgbd.plugins.slam.orb_gtsam.mapping.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.mapping.threaded_backend import ThreadedBackend
 from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.tracking.depth_scale import DepthScaleFollower
 from prgbd.plugins.slam.orb_gtsam.tracking.front_end import FrontEnd
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import DepthInitializer, Initializer, keypoints_to_start
 from prgbd.plugins.slam.orb_gtsam.tracking.relocalisation import Relocaliser
@@ -116,7 +118,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             extractor.scales,
             extractor.columns,
             stereo=mode == "stereo",
-            noise=depth_noise(settings.depth, pseudo=mode == "pseudo_rgbd", features=extractor.capacity),
+            noise=depth_noise(settings.depth, mode, extractor.capacity),
         )
         if mode != "mono":
             set_baseline(model, settings.depth, baseline)
@@ -164,6 +166,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             self._watch,
             fps,
             settings.keyframes.take_outliers(self._mode),
+            DepthScaleFollower(self._map, camera) if settings.depth.follows(self._mode) else None,
         )
 
     def track(self, frame: Frame) -> TrackingResult:
@@ -253,8 +256,18 @@ class OrbGtsamSLAM(GeometricSLAM):
         """Adjust the whole map, as far as that is wanted; return what was done."""
         done: dict[str, Any] = {}
         options = self.settings.optimisation
-        if not options.full_ba or self.settings.localise_only:
-            return done
+        if options.full_ba and not self.settings.localise_only:
+            done |= self._adjust_globally()
+        if self.settings.depth.follows(self._mode):
+            with self._watch("scale_drift"), self._map.lock:
+                if not self.settings.localise_only:
+                    done["scale_drift"] = correct_scale(self._map, self._camera)
+                give_depth_back(self._map, self._camera)
+        return done
+
+    def _adjust_globally(self) -> dict[str, Any]:
+        done: dict[str, Any] = {}
+        options = self.settings.optimisation
         sigma = options.focal_length_sigma
         if self._mode in _SELF_CALIBRATED and sigma > 0:
             with self._watch("self_calibration"):

@@ -15,7 +15,8 @@ class KeyframeColumns(Columns):
     """Keyframes; rows of culled ones stay, marked ``bad``, with their pose relative to ``parent``.
 
     ``scale`` is the product of all scales by which loops changed the map around a keyframe: lengths that were noted
-    at one time are multiplied by the quotient of its value now and then.
+    at one time are multiplied by the quotient of its value now and then. ``log_depth_scale`` is the logarithm of what
+    the measured depth was divided by.
     """
 
     cTw: FloatArray
@@ -39,6 +40,7 @@ class KeyframeColumns(Columns):
     following: IntArray
     median_depth: FloatArray
     scale: FloatArray
+    log_depth_scale: FloatArray
 
     def __init__(self, capacity: int, cells: int) -> None:
         super().__init__(
@@ -63,6 +65,7 @@ class KeyframeColumns(Columns):
             following=((capacity,), np.int64, -1),
             median_depth=((), np.float64, 0),
             scale=((), np.float64, 1),
+            log_depth_scale=((), np.float64, 0),
         )
 
 

@@ -22,6 +22,8 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
 # Rebuilt from the other columns when a map is read.
 _LINKS = ("following", "head")
+# Of the run alone: the depth of a finished map is as it was measured.
+_PASSING = ("log_depth_scale",)
 # Columns that hold numbers of keyframes or points.
 _NUMBERS = {
     "parent": "keyframe",
@@ -148,8 +150,8 @@ def _order_maps(slam_map: Map) -> None:
 
 
 def _stored(columns: Columns) -> list[str]:
-    """Names of all columns but the links."""
-    return [name for name in columns.names if name not in _LINKS]
+    """Names of all columns but the links and what only a run needs."""
+    return [name for name in columns.names if name not in (*_LINKS, *_PASSING)]
 
 
 def _renumbered(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:

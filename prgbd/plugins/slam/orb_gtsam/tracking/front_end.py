@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from prgbd.plugins.slam.orb_gtsam.diagnostics.frame_figures import DepthAgreemen
 from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.geometry.lie import inverse
 from prgbd.plugins.slam.orb_gtsam.map.keyframe_creation import KeyframeCreator
+from prgbd.plugins.slam.orb_gtsam.tracking.depth_scale import DepthScaleFollower
 from prgbd.plugins.slam.orb_gtsam.tracking.history import History
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import Initializer
 from prgbd.plugins.slam.orb_gtsam.tracking.keyframe_decision import needs_keyframe
@@ -49,6 +50,7 @@ class FrontEnd:
         watch: Gathers stage times.
         fps: Frame rate, for the keyframe decision.
         keyframe_outliers: Whether matches that a frame's pose refutes go along into its keyframe.
+        depth_scale: Divides the depth of frames by its scale against the map; None takes it as it is.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class FrontEnd:
         watch: Stopwatch,
         fps: float,
         keyframe_outliers: bool = True,
+        depth_scale: DepthScaleFollower | None = None,
     ) -> None:
         self.tracker, self.relocaliser, self.initializer = tracker, relocaliser, initializer
         self.creator, self.mapper_is_idle, self.watch = creator, mapper_is_idle, watch
@@ -74,6 +77,7 @@ class FrontEnd:
         self.depth_agreements: list[DepthAgreement] = []
         self._fps = fps
         self._keyframe_outliers = keyframe_outliers
+        self._depth_scale = depth_scale
         self._started = False
         # Lost frames in a row, those of them that showed something, and whether a new map is being tried.
         self._lost, self._unknown, self._restarting = 0, 0, False
@@ -93,6 +97,8 @@ class FrontEnd:
         """Track a frame; the caller holds ``Map.lock``, and passes the keyframes on after giving it back."""
         self._handovers = []
         self.depth_agreements.append(DepthAgreement())
+        if self._depth_scale is not None:
+            self._depth_scale.correct(frame.features)
         result = self._continue(frame) if self._started else self._start(frame, TrackingState.NOT_INITIALIZED)
         self.history.add(result.state, result.inliers)
         return result, self._handovers
@@ -121,6 +127,7 @@ class FrontEnd:
         self._found()
         self._motion_model.clear()
         self._handovers = [Handover(k, local_mapping=False) for k in started.keyframes]
+        self._note_depth_scale()
         inliers = len(frame.matched())
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, True)
 
@@ -142,7 +149,7 @@ class FrontEnd:
             self._motion_model.clear()
         self._found()
         self._motion_model.add(frame.ordinal, frame.cTw)
-        self.depth_agreements[-1] = depth_agreement(self.map, self.camera, frame)
+        self._compare_depth(frame)
         keyframe = self._wants_keyframe(frame, inliers)
         if keyframe:
             # If outliers go along, bundle adjustment, not one frame, decides about them.
@@ -153,10 +160,25 @@ class FrontEnd:
             self._outliers = (k, frame.outlier.copy())
             frame.points = self.map.points_of(k).copy()
             self._handovers = [Handover(k)]
+            self._note_depth_scale()
         tracker.remember(frame)
         frame.drop_outliers()
         self._place(frame.index, frame.timestamp, tracker.reference, frame.cTw)
         return TrackingResult(TrackingState.OK, inverse(frame.cTw), inliers, keyframe)
+
+    def _compare_depth(self, frame: TrackedFrame) -> None:
+        """Note how the measured depth of a tracked frame fits the map, and let it follow the map's scale."""
+        if self._depth_scale is None:
+            self.depth_agreements[-1] = depth_agreement(self.map, self.camera, frame)
+            return
+        self._depth_scale.observe(frame)
+        found = depth_agreement(self.map, self.camera, frame)
+        self.depth_agreements[-1] = replace(found, ratio=found.ratio * float(np.exp(self._depth_scale.log_scale)))
+
+    def _note_depth_scale(self) -> None:
+        if self._depth_scale is not None:
+            for handover in self._handovers:
+                self._depth_scale.note(handover.keyframe)
 
     def _wants_keyframe(self, frame: TrackedFrame, inliers: int) -> bool:
         if self.settings.localise_only:

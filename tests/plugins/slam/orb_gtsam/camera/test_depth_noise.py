@@ -67,12 +67,15 @@ def test_weights_join_the_noise_of_keypoint_and_depth() -> None:
 
 def test_auto_means_a_sensor_or_a_network_by_the_mode() -> None:
     options = DepthOptions()
-    assert depth_noise(options, pseudo=False, features=800) == DepthNoise()
-    network = depth_noise(options, pseudo=True, features=800)
-    assert network == replace(PSEUDO_DEPTH, shared=400.0)
+    assert depth_noise(options, "rgbd", 800) == DepthNoise()
+    followed = depth_noise(options, "pseudo_rgbd", 800)
+    assert followed == replace(PSEUDO_DEPTH, shared=followed.shared)
+    assert followed.shared > 100 * 800, "depth that was made to fit the map has no say about poses"
+    as_it_is = depth_noise(DepthOptions(follow=False), "pseudo_rgbd", 800)
+    assert as_it_is == replace(PSEUDO_DEPTH, shared=400.0)
     fixed = DepthOptions(sigma=0.3, shared=1, fallback=False, border=0.2)
     expected = DepthNoise(relative=0.3, shared=1.0, fallback=False, border=0.2)
-    assert depth_noise(fixed, pseudo=True, features=9) == depth_noise(fixed, pseudo=False, features=9) == expected
+    assert depth_noise(fixed, "pseudo_rgbd", 9) == depth_noise(fixed, "rgbd", 9) == expected
 
 
 def test_borders_are_where_depth_jumps() -> None:

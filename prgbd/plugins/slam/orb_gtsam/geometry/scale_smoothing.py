@@ -1,0 +1,77 @@
+"""What a depth network says of a map's scale, split into drift of the map and wander of the network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Standard deviations and correlation lengths (keyframes) of a network's wander that are tried, the standard deviation
+# that is likely before anything is known, and the factor (log) by which it may be otherwise.
+_SIGMAS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3)
+_LENGTHS = (3.0, 10.0, 30.0)
+_LIKELY, _OTHERWISE = 0.1, 0.7
+# Standard deviation of the scale of a single keyframe's depth, and of the unit of the whole.
+_WHITE, _UNIT = 0.03, 2.0
+
+
+@dataclass(frozen=True)
+class ScaleSplit:
+    """Drift and wander.
+
+    Attributes:
+        drift: (K,) logarithm of the scale by which the map is too small around every keyframe, in the network's units.
+        sigma: Standard deviation of the network's wander, the most likely one of those that were tried.
+        length: Its correlation length, keyframes.
+    """
+
+    drift: FloatArray
+    sigma: float
+    length: float
+
+
+def split_scale(log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | None = None) -> ScaleSplit:
+    """Split ``log_ratio = unit + drift + wander + noise``, all of them Gaussian, by what each can be.
+
+    The drift has the covariance that geometry leaves it. The wander is stationary, so that it averages out over a
+    drive, with the standard deviation and the correlation length that make the ratios most likely.
+
+    Args:
+        log_ratio: (K,) logarithm of the network's depth over the map's at keyframes, NaN where that is not known.
+        covariance: (K, K) of the drift.
+        at: (K,) numbers of the keyframes; 0, 1, 2 and so on if left out.
+
+    Returns:
+        The split; the unit of the network is part of the drift, so that a map that is divided by it has that unit.
+    """
+    at = np.arange(len(log_ratio), dtype=np.float64) if at is None else at
+    known = np.flatnonzero(np.isfinite(log_ratio))
+    if len(known) == 0:
+        return ScaleSplit(np.zeros(len(log_ratio)), _LIKELY, _LENGTHS[-1])
+    unit = float(np.median(log_ratio[known]))
+    observed = log_ratio[known] - unit
+    apart = np.abs(at[known, None] - at[known])
+    fixed = covariance[np.ix_(known, known)] + _WHITE**2 * np.eye(len(known)) + _UNIT**2
+    best = max(
+        (_likelihood(fixed + sigma**2 * np.exp(-apart / length), observed) - _surprise(sigma), sigma, length)
+        for sigma in _SIGMAS
+        for length in _LENGTHS
+    )
+    _, sigma, length = best
+    solved = np.linalg.solve(fixed + sigma**2 * np.exp(-apart / length), observed)
+    drift = unit + (covariance[:, known] + _UNIT**2) @ solved
+    return ScaleSplit(drift, sigma, length)
+
+
+def _likelihood(covariance: FloatArray, observed: FloatArray) -> float:
+    """Logarithm, up to a constant."""
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, observed)
+    return float(-0.5 * white @ white - np.log(np.diag(root)).sum())
+
+
+def _surprise(sigma: float) -> float:
+    return float(0.5 * (np.log(sigma / _LIKELY) / _OTHERWISE) ** 2)
