@@ -1,4 +1,4 @@
-r"""Does pseudo depth help the pose? Mono, the default coupling and the paper's on all recordings at hand, as one table.
+r"""Does pseudo depth help the pose? Mono, the default and depth as it is, on all recordings at hand, as one table.
 
 No option is set per recording. Every figure is the median ATE (RMSE after Sim3) over runs with slightly different
 numbers of features, as single runs of a SLAM system scatter.
@@ -22,9 +22,8 @@ import numpy as np
 from slam_measuring import Source, make_source, measure, warm_up
 
 import prgbd
-from prgbd.core.alignment import fit_alignment
 from prgbd.core.data import Sequence
-from prgbd.core.types import SlamResult
+from prgbd.evaluation.trajectory import absolute_error
 from prgbd.plugins.slam.orb_gtsam.settings import FeatureOptions
 
 DEMO = {"id": "monodepth2", "weights": "demo"}
@@ -34,7 +33,7 @@ READ_AHEAD = 1 << 29
 COUPLINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "mono": ("mono", {}),
     "default": ("pseudo_rgbd", {}),
-    "paper's": ("pseudo_rgbd", {"depth": {"follow": False}}),
+    "as it is": ("pseudo_rgbd", {"depth": {"follow": False}}),
 }
 
 
@@ -82,15 +81,6 @@ def counts(sequence: Sequence, runs: int) -> list[int]:
     return [round(usual * (1.0 + 0.05 * (i - runs // 2))) for i in range(runs)]
 
 
-def ate(result: SlamResult, sequence: Sequence) -> float:
-    """Return the RMSE after Sim3, metres."""
-    truth = np.asarray(sequence.poses)[result.trajectory.frame_index][:, :3, 3]
-    known = np.isfinite(truth).all(axis=1)
-    reference, found = truth[known], result.trajectory.wTc[known, :3, 3]
-    left = fit_alignment(found, reference, "sim3").points(found) - reference
-    return float(np.sqrt((left**2).sum(axis=1).mean()))
-
-
 def rows(data: Path, only: str, runs: int) -> Iterator[dict[str, Any]]:
     """Measure recordings, one after the other."""
     for recording in (r for r in RECORDINGS if only in r.name):
@@ -98,6 +88,7 @@ def rows(data: Path, only: str, runs: int) -> Iterator[dict[str, Any]]:
             print(f"{recording.name}: skipped, there is no {data / recording.root}", file=sys.stderr)
             continue
         sequence = opened(recording, data)
+        truth = np.asarray(sequence.poses)
         row: dict[str, Any] = {"recording": recording.name, "frames": len(sequence)}
         for name, (mode, options) in COUPLINGS.items():
             source = source_of(recording, sequence, mode, data)
@@ -107,7 +98,7 @@ def rows(data: Path, only: str, runs: int) -> Iterator[dict[str, Any]]:
                 for count in counts(sequence, runs)
             ]
             row[name] = {
-                "ate": [round(ate(run.result, sequence), 5) for run in made],
+                "ate": [round(absolute_error(run.result.trajectory, truth).rmse, 5) for run in made],
                 "tracked": min(len(run.result.trajectory) for run in made),
                 "fps": round(float(np.median([run.fps_with_finish for run in made])), 1),
             }

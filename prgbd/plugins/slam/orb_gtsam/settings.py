@@ -193,8 +193,8 @@ class DepthOptions:
         follow: Whether every frame's depth is divided by its scale against the map, so that geometry holds the scale
             from keyframe to keyframe, and the drift that it leaves is taken out at the end, as far as the covariance
             of bundle adjustment allows and the depth of all keyframes together tells; or "auto": for pseudo depth,
-            whose scale wanders, unless ``shared`` says what it counts. false is the paper's coupling, which takes
-            depth as it is.
+            whose scale wanders, unless ``shared`` says what it counts. false takes depth as it is, as the paper
+            does, and weighs it by ``sigma`` and ``shared``.
         shared: Observations whose depths err together; the optimisers divide the depths' weight by it. "auto": 1 for a
             sensor; so many where depth follows the map that it has no say about poses; for pseudo depth that does
             not, half of the keypoints of a frame, so that a frame's depths count about as one.

@@ -16,6 +16,8 @@ _LENGTHS = (3.0, 10.0, 30.0)
 _LIKELY, _OTHERWISE = 0.1, 0.7
 # Standard deviation of the scale of a single keyframe's depth, and of the unit of the whole.
 _WHITE, _UNIT = 0.03, 2.0
+# Standard deviation (log) of a drift that geometry leaves quite open.
+_OPEN = 5.0
 
 
 @dataclass(frozen=True)
@@ -41,13 +43,14 @@ def split_scale(log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | 
 
     Args:
         log_ratio: (K,) logarithm of the network's depth over the map's at keyframes, NaN where that is not known.
-        covariance: (K, K) of the drift.
+        covariance: (K, K) of the drift, symmetric and finite.
         at: (K,) numbers of the keyframes; 0, 1, 2 and so on if left out.
 
     Returns:
-        The split; the unit of the network is part of the drift, so that a map that is divided by it has that unit.
+        The split. The network's unit is part of the drift: a map that is multiplied by ``exp(drift)`` has that unit.
     """
     at = np.arange(len(log_ratio), dtype=np.float64) if at is None else at
+    covariance = _bounded(covariance)
     known = np.flatnonzero(np.isfinite(log_ratio))
     if len(known) == 0:
         return ScaleSplit(np.zeros(len(log_ratio)), _LIKELY, _LENGTHS[-1])
@@ -64,6 +67,15 @@ def split_scale(log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | 
     solved = np.linalg.solve(fixed + sigma**2 * np.exp(-apart / length), observed)
     drift = unit + (covariance[:, known] + _UNIT**2) @ solved
     return ScaleSplit(drift, sigma, length)
+
+
+def _bounded(covariance: FloatArray) -> FloatArray:
+    """Return the nearest covariance whose variances are none below 0, nor so large that the ratios drown in them.
+
+    A camera that stands or only turns leaves the scale open by any factor, and rounding makes such matrices indefinite.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.clip(values, 0.0, _OPEN**2 * len(values))) @ vectors.T)
 
 
 def _likelihood(covariance: FloatArray, observed: FloatArray) -> float:

@@ -93,7 +93,8 @@ class ScaleCovariance:
             poses: (N,) rows of poses that have weights.
 
         Returns:
-            (N, N) covariance of the scales' logarithms, as far as pixels that err independently tell.
+            (N, N) covariance of the scales' logarithms, as far as pixels that err independently tell; infinite where
+            the pixels do not determine the poses.
         """
         share = weight / np.maximum(np.bincount(self._pose, weight, self._poses), _SYSTEM)[self._pose]
         column = np.full(self._poses, -1)
@@ -108,7 +109,11 @@ class ScaleCovariance:
         )
         spread = self._point_covariance @ by_point
         reduced = (by_pose - self._mixed @ spread).toarray()
-        found = reduced.T @ splu(self._reduced).solve(reduced) + (by_point.T @ spread).toarray()
+        try:
+            solved = splu(self._reduced).solve(reduced)
+        except RuntimeError:  # SciPy's word for a matrix that is singular
+            return np.full((len(poses), len(poses)), np.inf)
+        found = reduced.T @ solved + (by_point.T @ spread).toarray()
         return np.asarray(0.5 * (found + found.T))
 
 

@@ -20,7 +20,7 @@ class DepthScaleFollower:
     A network's scale wanders along a drive, and it wanders slowly: the last frame's is nearly this one's. Corrected by
     it, depth starts maps, places new points and gates matches, but no scale comes in by that door: over short
     distances geometry knows it much better. What the network knows over long ones comes in at the end of the recording
-    (``ScaleDrift``).
+    (``scale_drift.correct_scale``).
 
     Attributes:
         log_scale: Logarithm of measured depth over map depth.

@@ -57,3 +57,12 @@ def test_unknown_keyframes_are_filled_in_from_their_neighbours() -> None:
     split = split_scale(ratio, random_walk(0.05))
     np.testing.assert_allclose(split.drift[40:60], np.linspace(0, 1, COUNT)[40:60], atol=0.05)
     assert np.isfinite(split_scale(np.full(5, np.nan), np.eye(5)).drift).all()
+
+
+@pytest.mark.parametrize("size", [1e4, 1e12, 1e30])
+def test_a_scale_that_geometry_leaves_quite_open_follows_the_network(size) -> None:
+    rng = np.random.default_rng(0)
+    loose = size * random_walk(1.0) + size * 1e-9 * rng.standard_normal((COUNT, COUNT))
+    drift = np.linspace(0, 2, COUNT)
+    split = split_scale(drift, 0.5 * (loose + loose.T))
+    np.testing.assert_allclose(split.drift, drift, atol=0.1)

@@ -6,7 +6,7 @@ import pytest
 from prgbd.core.alignment import fit_alignment
 from prgbd.core.types import Frame, SlamResult
 from prgbd.plugins.slam.orb_gtsam import OrbGtsamSLAM
-from tests.plugins.slam.orb_gtsam.walls import CAMERA, path, view
+from tests.plugins.slam.orb_gtsam.walls import CAMERA, path, pose, view
 
 FRAMES = 100
 WANDER = 0.4 * np.sin(np.arange(FRAMES) / 8.0)
@@ -74,3 +74,15 @@ def test_a_sensor_is_taken_as_it_is() -> None:
     assert not options.follows("mono")
     assert not OrbGtsamSLAM(depth={"shared": 1.0}).settings.depth.follows("pseudo_rgbd"), "its weight was chosen"
     assert OrbGtsamSLAM(depth={"follow": True}).settings.depth.follows("rgbd")
+
+
+@pytest.mark.parametrize("moves", [lambda i: pose(0.0), lambda i: pose(0.0, yaw=0.03 * i)], ids=["stands", "turns"])
+def test_a_camera_without_parallax_ends_with_a_finite_map(moves) -> None:
+    with OrbGtsamSLAM() as system:
+        system.reset(CAMERA, "pseudo_rgbd", baseline=0.1, fps=2.0)
+        for i in range(24):
+            system.track(wandering(view(i, moves(i))))
+        result = system.finish()
+    assert len(result.trajectory) > 12
+    assert np.isfinite(result.trajectory.wTc).all()
+    assert np.isfinite(result.points.xyz).all()
