@@ -34,10 +34,12 @@ class Undistorter:
 
     Args:
         camera: The camera; ``camera.undistorted()`` is that of the images that come out.
+        maps: Where each pixel that comes out lies, u and v (H, W), if another camera's images come out, as where a
+            stereo pair is rectified; None for ``undistortion_maps`` of the camera.
     """
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        self._maps = undistortion_maps(camera) if any(camera.distortion) else None
+    def __init__(self, camera: PinholeCamera, maps: Maps | None = None) -> None:
+        self._maps = undistortion_maps(camera) if maps is None and any(camera.distortion) else maps
 
     def image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the undistorted (H, W, 3) image; what the camera did not see is black."""

@@ -21,6 +21,7 @@ BUILT_IN = (
     ("data", "kitti_raw", "kitti_raw:KittiRawSequence", "KITTI raw drives, Eigen split, velodyne depth, GPS poses"),
     ("data", "seven_scenes", "seven_scenes:SevenScenesSequence", "Microsoft 7-Scenes, hand-held Kinect"),
     ("data", "tum_rgbd", "tum_rgbd:TumRgbdSequence", "TUM RGB-D recordings, undistorted"),
+    ("data", "euroc", "euroc:EurocSequence", "EuRoC MAV: stereo pairs, rectified, and the drone's true poses"),
     ("data", "rgbd", "rgbd:RgbdSequence", "a folder of colour and depth with a camera file"),
     ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),
     ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),

@@ -85,6 +85,20 @@ GUIDES = {
         ),
         "CC BY 4.0",
     ),
+    "euroc": Guide(
+        "https://projects.asl.ethz.ch/datasets/doku.php?id=kmavvisualinertialdatasets",
+        ("of each sequence, such as MH_01_easy: ASL Dataset Format (zip), unpacked into a folder of its name",),
+        "MH_01_easy/mav0/{cam0, cam1, state_groundtruth_estimate0}, each with data.csv",
+        "**/{name}/mav0",
+        (
+            ("cam0/data/*.png", "images", True),
+            ("cam0/data.csv", "time stamps", True),
+            ("cam0/sensor.yaml", "calibration", True),
+            ("cam1/data/*.png", "right images, for slam.mode=stereo", False),
+            ("state_groundtruth_estimate0/data.csv", "true poses", False),
+        ),
+        "terms on the page",
+    ),
     "seven_scenes": Guide(
         "https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/",
         ("a scene (zip), and the zips of its sequences unpacked inside",),

@@ -6,6 +6,7 @@ import pytest
 
 from prgbd.tools.__main__ import main
 from prgbd.tools.download_guides import GUIDES
+from tests.plugins.data import test_euroc
 from tests.plugins.data.test_kitti_raw import DAY, DRIVE, write_day, write_drive
 
 
@@ -25,6 +26,15 @@ def test_a_complete_recording_is_described(tmp_path, capsys) -> None:
     assert f"ok   {DRIVE}: 5 frames" in out
     assert "true poses, true depth, stereo 0.54 m" in out
     assert "without" not in out.partition(DRIVE + ":")[2]
+
+
+def test_a_recording_in_a_group_is_found(tmp_path, capsys) -> None:
+    folder = test_euroc.write(tmp_path / "machine_hall" / "MH_01_easy")
+    assert main(["prepare", "euroc", str(tmp_path)]) == 0
+    assert "ok   MH_01_easy: 4 frames at 20.0 Hz, 64x48" in capsys.readouterr().out
+    (folder / "mav0/state_groundtruth_estimate0/data.csv").unlink()
+    assert main(["prepare", "euroc", str(tmp_path)]) == 0
+    assert "without true poses: " in capsys.readouterr().out
 
 
 def test_what_is_missing_is_named_and_what_is_needed_counts(tmp_path, capsys) -> None:

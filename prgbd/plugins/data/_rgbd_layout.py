@@ -107,18 +107,31 @@ def warn_if_few(depths: Sequence[Path | None], where: Path) -> None:
 
 
 def true_poses(path: Path, times: Times) -> NDArray[np.float64] | None:
-    """Return the true poses (N, 4, 4) at the given times, NaN where they are not known; None without a file.
-
-    Poses of a motion capture are interpolated over at most 0.1 s, and only for images within 0.02 s of one. Poses of a
-    lower rate are interpolated between neighbours, over at most three of their steps; beyond one second between them,
-    only images within 0.02 s of one have a pose.
+    """Return the true poses (N, 4, 4) of ``groundtruth.txt`` at the given times; None without a file.
 
     Raises:
         DataError: If the file is malformed.
     """
     if not path.is_file():
         return None
-    rows = read_table(path, 8, "time stamp, translation and quaternion", finite=True)
+    return poses_at(read_table(path, 8, "time stamp, translation and quaternion", finite=True), times, path)
+
+
+def poses_at(rows: NDArray[np.float64], times: Times, path: Path) -> NDArray[np.float64] | None:
+    """Return the true poses (N, 4, 4) at the given times, NaN where they are not known; None if none is.
+
+    Poses of a motion capture are interpolated over at most 0.1 s, and only for images within 0.02 s of one. Poses of a
+    lower rate are interpolated between neighbours, over at most three of their steps; beyond one second between them,
+    only images within 0.02 s of one have a pose.
+
+    Args:
+        rows: (R, 8) time, translation and quaternion x, y, z, w, in any order.
+        times: (N,) seconds of the images, ascending.
+        path: Their file, for messages.
+
+    Raises:
+        DataError: If a row is no pose.
+    """
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     rows = rows[np.append(True, np.diff(rows[:, 0]) > 0)] if len(rows) else rows
     as_poses(rows, path)
