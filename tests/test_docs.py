@@ -230,18 +230,20 @@ def _with_installed_plugins(words: list[str]) -> list[str]:
 
 def _check_plugin_options(words: list[str], config: dict) -> None:
     """Options of plug-ins pass the command line unseen, so they are looked up where the plug-in has them."""
+    from prgbd.cli.hydra_bridge import options_class
     from prgbd.cli.plugin_choices import LOOP_KEYS
     from prgbd.core.options import option_types
-    from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
     for word in words:
         found = re.match(r"\+*(slam|depth|data)\.([\w.]+)=", word)
         if found is None or found[2] in (*LOOP_KEYS[found[1]], "id"):
             continue
         plugin = value_of([w.lstrip("+") for w in words], found[1]) or config[found[1]]["id"]
-        if REGISTRY.resolve(found[1], plugin).missing:
+        spec = REGISTRY.resolve(found[1], plugin)
+        if spec.missing:
             continue  # its extra is not installed here
-        known = set(option_types(Settings)) if plugin == "orb_gtsam" else set(REGISTRY.options(found[1], plugin))
+        named = options_class(spec)
+        known = set(REGISTRY.options(found[1], plugin) if named is None else option_types(named))
         assert found[2] in known, f"{word}: {plugin} has {sorted(known)}"
 
 

@@ -15,11 +15,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from prgbd.core.data import Sequence
 from prgbd.core.errors import WeightsError
 from prgbd.core.option_errors import shown
 from prgbd.core.option_ranges import LARGEST_SIDE
 from prgbd.core.tensor_files import write_tensors
-from prgbd.core.types import DepthPrediction
+from prgbd.core.types import DepthPrediction, Frame
 from prgbd.core.validation import check_image
 
 
@@ -78,6 +79,13 @@ class DepthEstimator(nn.Module, ABC):
         if image.shape[:2] != (height, width):
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
         return torch.from_numpy(np.divide(image, np.float32(255), dtype=np.float32)).permute(2, 0, 1)
+
+    def observe(self, sequence: Sequence, frame: Frame) -> Tensor:
+        """Return what ``forward`` sees of a frame of a recording, (C, h, w) float32 on the CPU: its image, prepared.
+
+        A plug-in that looks at more than the image, as a simulated sensor does, overrides it.
+        """
+        return self.preprocess(frame.image)
 
     def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Predict depth at the image's own size, in evaluation mode and without gradients.

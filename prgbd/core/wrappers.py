@@ -17,11 +17,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from prgbd.core.data import Sequence as Recording
 from prgbd.core.depth import DepthEstimator
 from prgbd.core.errors import ConfigError
 from prgbd.core.option_ranges import Count, Positive
 from prgbd.core.options import checked_arguments
-from prgbd.core.types import DepthPrediction
+from prgbd.core.types import DepthPrediction, Frame
 
 
 class DepthWrapper(DepthEstimator):
@@ -75,6 +76,10 @@ class DepthWrapper(DepthEstimator):
     def preprocess(self, image: NDArray[np.uint8]) -> Tensor:
         """See ``DepthEstimator.preprocess``."""
         return self.estimator.preprocess(image)
+
+    def observe(self, sequence: Recording, frame: Frame) -> Tensor:
+        """See ``DepthEstimator.observe``."""
+        return self.estimator.observe(sequence, frame)
 
     def pose_network(self) -> nn.Module | None:
         """See ``DepthEstimator.pose_network``."""
@@ -271,12 +276,16 @@ def wrap(estimator: DepthEstimator, wrappers: Sequence[str | Mapping[str, Any]])
 
 
 def description(estimator: DepthEstimator) -> list[str]:
-    """Return the wrappers of an estimator with their options, outermost first; empty without any."""
+    """Return the wrappers of an estimator with their options, outermost first, and what it says of itself, if anything.
+
+    A network says in ``extra_repr`` what sets its prediction apart from another one's of the same weights.
+    """
     found = []
     while isinstance(estimator, DepthWrapper):
         found.append(f"{type(estimator).__name__}({estimator.extra_repr()})")
         estimator = estimator.estimator
-    return found
+    own = estimator.extra_repr()
+    return [*found, own] if own else found
 
 
 def _single(given: Any) -> tuple[str, dict[str, Any]]:

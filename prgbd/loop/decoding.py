@@ -7,24 +7,23 @@ from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
+from prgbd.core.types import Frame
 
 _LOOK_AHEAD = 2
 """Batches that are decoded while the network works on another one."""
 
-Batch = tuple[range, list[NDArray[np.uint8]], torch.Tensor | None]
-"""Frames, their images, and what they were prepared to for the network, if anything."""
+Batch = tuple[list[Frame], torch.Tensor | None]
+"""Frames, and what they were prepared to for the network, if anything."""
 
 
 def decoded(
     sequence: Sequence,
     size: int,
     device: torch.device,
-    prepare: Callable[[list[NDArray[np.uint8]]], torch.Tensor] | None,
+    prepare: Callable[[list[Frame]], torch.Tensor] | None,
 ) -> Generator[Batch]:
     """Yield decoded batches; a thread of its own is ahead by a few where the network leaves a core to it.
 
@@ -32,7 +31,7 @@ def decoded(
         sequence: The recording.
         size: Frames of a batch.
         device: Where the network works.
-        prepare: Makes images (H, W, 3) of a batch to the network's input.
+        prepare: Makes the frames of a batch to the network's input.
     """
     cores, threads = os.cpu_count() or 1, torch.get_num_threads()
     takes_all = device.type == "cpu" and threads >= cores
@@ -40,8 +39,8 @@ def decoded(
     free = threads if takes_all else cores - threads if device.type == "cpu" else cores
 
     def decode(indices: range) -> Batch:
-        images = _images(sequence, indices, free)
-        return indices, images, None if prepare is None else prepare(images)
+        frames = _frames(sequence, indices, free)
+        return frames, None if prepare is None else prepare(frames)
 
     count = len(sequence)
     batches = [range(start, min(start + size, count)) for start in range(0, count, size)]
@@ -59,10 +58,10 @@ def decoded(
             yield ahead.popleft().result()
 
 
-def _images(sequence: Sequence, indices: range, threads: int) -> list[NDArray[np.uint8]]:
+def _frames(sequence: Sequence, indices: range, threads: int) -> list[Frame]:
     """Decode frames, by several threads where the recording allows it."""
     threads = min(threads, len(indices))
     if threads < 2 or not sequence.concurrent:
-        return [sequence.frame(index).image for index in indices]
+        return [sequence.frame(index) for index in indices]
     with ThreadPoolExecutor(threads, "decode") as pool:
-        return [frame.image for frame in pool.map(sequence.frame, indices)]
+        return list(pool.map(sequence.frame, indices))

@@ -48,6 +48,7 @@ class SelfImprovingLoop:
         Raises:
             PrgbdError: If something the user can mend is wrong; the finished steps are kept.
         """
+        self._check_trainable()
         self._check_weights()
         self._first_weights = {name: value.clone() for name, value in self.estimator.state_dict().items()}
         more = self._more()
@@ -130,6 +131,13 @@ class SelfImprovingLoop:
             return text
         self.monitor.say(f"  {text} Going on for task.patience={settings.patience}.")
         return ""
+
+    def _check_trainable(self) -> None:
+        """Refuse to refine what has no weights."""
+        if self.settings.max_loops and not any(weight.requires_grad for weight in self.estimator.parameters()):
+            raise ConfigError(
+                f"depth={self.parts.identity.depth} has no weights that a refinement could train; add task.max_loops=0."
+            )
 
     def _check_weights(self) -> None:
         """Refuse to go on with a run whose first weights were other ones."""

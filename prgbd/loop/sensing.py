@@ -212,26 +212,24 @@ class DepthSensor:
     def _decoded(self) -> Generator[Batch]:
         """Yield decoded batches, prepared for the network unless the plug-in brings its own ``predict``."""
 
-        def prepare(images: list[NDArray[np.uint8]]) -> torch.Tensor:
-            return self._computing.stacked([self.estimator.preprocess(image) for image in images])
+        def prepare(frames: list[Frame]) -> torch.Tensor:
+            return self._computing.stacked([self.estimator.observe(self.sequence, frame) for frame in frames])
 
         brings_predict = type(self.estimator).predict is not DepthEstimator.predict
         return decoded(self.sequence, self._batch_size, self._device, None if brings_predict else prepare)
 
-    def _predict(
-        self, indices: range, images: list[NDArray[np.uint8]], batch: torch.Tensor | None
-    ) -> NDArray[np.float32]:
+    def _predict(self, frames: list[Frame], batch: torch.Tensor | None) -> NDArray[np.float32]:
         """Predict (n, h, w) depth."""
         if batch is None:
-            maps = [self.estimator.predict(image) for image in images]
-            for index, image, depth in zip(indices, images, maps, strict=True):
-                who = f"The depth plug-in '{self.name}', frame {index} of '{self.sequence.name}',"
-                check_depth_shape(depth, (image.shape[0], image.shape[1]), who)
+            maps = [self.estimator.predict(frame.image) for frame in frames]
+            for frame, depth in zip(frames, maps, strict=True):
+                who = f"The depth plug-in '{self.name}', frame {frame.index} of '{self.sequence.name}',"
+                check_depth_shape(depth, frame.image.shape[:2], who)
             return np.stack(maps)
         try:
             prediction = self.estimator(self._computing.arranged(batch.to(self._device)))
         except ContractError as error:
-            raise ContractError(f"{error} It happened at frame {indices[0]} of '{self.sequence.name}'.") from error
+            raise ContractError(f"{error} It happened at frame {frames[0].index} of '{self.sequence.name}'.") from error
         return np.asarray(prediction.depth[:, 0].float().cpu().numpy(), np.float32)
 
     def _check(self, depth: NDArray[np.float32], index: int) -> None:

@@ -13,6 +13,7 @@ BUILT_IN = (
         "huggingface:HuggingFaceDepth",
         "any depth model of Transformers: Depth Anything, DPT, ...",
     ),
+    ("depth", "simulated", "simulated:SimulatedDepth", "true depth with known errors, in the place of a network"),
     ("slam", "orb_gtsam", "orb_gtsam:OrbGtsamSLAM", "ORB-SLAM2's ideas in Python with numba and GTSAM: all modes"),
     ("slam", "posenet", "posenet:PoseNetworkOdometry", "a pose network's motions, chained: the baseline without SLAM"),
     ("slam", "colmap", "colmap:ColmapSLAM", "COLMAP's structure from motion, offline, with known or unknown camera"),
@@ -41,7 +42,10 @@ EXTRAS: dict[tuple[str, str], tuple[str, tuple[str, ...]]] = {
     ("slam", "colmap"): ("colmap", ("pycolmap",)),
 }
 # The dataclass of a plug-in's options, where they are more than the keywords of its constructor.
-OPTIONS = {("slam", "orb_gtsam"): "prgbd.plugins.slam.orb_gtsam.settings:Settings"}
+OPTIONS = {
+    ("slam", "orb_gtsam"): "prgbd.plugins.slam.orb_gtsam.settings:Settings",
+    ("depth", "simulated"): "prgbd.plugins.depth.simulated.options:SensorErrors",
+}
 
 for _kind, _id, _target, _description in BUILT_IN:
     _extra, _requires = EXTRAS.get((_kind, _id), ("", ()))
