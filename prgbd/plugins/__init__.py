@@ -24,6 +24,7 @@ BUILT_IN = (
     ("data", "tum_rgbd", "tum_rgbd:TumRgbdSequence", "TUM RGB-D recordings, undistorted"),
     ("data", "euroc", "euroc:EurocSequence", "EuRoC MAV: stereo pairs, rectified, and the drone's true poses"),
     ("data", "rgbd", "rgbd:RgbdSequence", "a folder of colour and depth with a camera file"),
+    ("data", "rosbag", "rosbag:RosbagSequence", "bags of ROS 1 and ROS 2: images, depth and camera by their topics"),
     ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),
     ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),
     ("loss", "photometric", "photometric:Photometric", "P: adjacent frames, warped by depth and pose, look alike"),

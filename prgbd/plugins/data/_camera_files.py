@@ -62,7 +62,7 @@ def read_camera_file(path: Path) -> Any:
     """
     text = read_text(path, "the camera file, data.camera")
     values = _storage(text, path) if _is_storage(text) else _yaml(text, path)
-    return _translated(values, path) if isinstance(values, Mapping) else values
+    return translated(values, path) if isinstance(values, Mapping) else values
 
 
 def _yaml(text: str, path: Path) -> Any:
@@ -102,8 +102,12 @@ def _plain(node: cv2.FileNode) -> Any:
     return node.real() if node.isReal() or node.isInt() else None
 
 
-def _translated(values: Mapping[Any, Any], path: Path) -> Mapping[Any, Any]:
-    """Return a file's content in prgbd's own words; what is in no other program's is returned as it is."""
+def translated(values: Mapping[Any, Any], path: Path | str) -> Mapping[Any, Any]:
+    """Return a file's content in prgbd's own words; what is in no other program's is returned as it is.
+
+    Raises:
+        DataError: If it has a camera or a distortion that is not known; ``path`` names it.
+    """
     if isinstance(values.get("camera"), Mapping) or "fx" in values or "fov_degrees" in values:
         return values
     cameras = [key for key, value in values.items() if re.fullmatch(r"cam\d+", str(key)) and isinstance(value, Mapping)]
@@ -121,7 +125,7 @@ def _translated(values: Mapping[Any, Any], path: Path) -> Mapping[Any, Any]:
     return values
 
 
-def _of_kalibr(values: Mapping[Any, Any], path: Path) -> dict[str, Any]:
+def _of_kalibr(values: Mapping[Any, Any], path: Path | str) -> dict[str, Any]:
     """Translate a camera of Kalibr's camchain, or EuRoC's ``sensor.yaml``."""
     kind = values.get("camera_model", "pinhole")
     intrinsics = _numbers(values["intrinsics"])
@@ -134,7 +138,7 @@ def _of_kalibr(values: Mapping[Any, Any], path: Path) -> dict[str, Any]:
     )
 
 
-def _of_orb_slam(values: Mapping[Any, Any], prefix: str, path: Path) -> dict[str, Any]:
+def _of_orb_slam(values: Mapping[Any, Any], prefix: str, path: Path | str) -> dict[str, Any]:
     """Translate the settings of ORB-SLAM2 or 3."""
     kind = str(values.get("Camera.type", "PinHole"))
     if kind.lower() not in ("pinhole", "kannalabrandt8", "rectified"):
@@ -147,7 +151,7 @@ def _of_orb_slam(values: Mapping[Any, Any], prefix: str, path: Path) -> dict[str
     return _camera(given, lens if fisheye or any(lens) else [], size, "fisheye" if fisheye else "opencv")
 
 
-def _of_opencv(values: Mapping[Any, Any], path: Path) -> dict[str, Any]:
+def _of_opencv(values: Mapping[Any, Any], path: Path | str) -> dict[str, Any]:
     """Translate the files of OpenCV's and ROS's calibration programs, and printed ``CameraInfo`` messages."""
     matrix = _numbers(_first(values, _MATRIX))
     if len(matrix) != 9:
@@ -157,7 +161,7 @@ def _of_opencv(values: Mapping[Any, Any], path: Path) -> dict[str, Any]:
     return _camera(given, _first(values, _DISTORTION), size, _model(values, path))
 
 
-def _model(values: Mapping[Any, Any], path: Path) -> str | None:
+def _model(values: Mapping[Any, Any], path: Path | str) -> str | None:
     """Return which of prgbd's models a file names, or None if it names none."""
     if values.get("fisheye_model") in (1, True):
         return "fisheye"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from prgbd.core.errors import ConfigError, DataError
 from prgbd.io.reading import require_file
-from prgbd.plugins.data._images import _decode
+from prgbd.plugins.data._images import decode_file
 
 log = logging.getLogger("prgbd")
 
@@ -76,7 +76,14 @@ class DepthReader:
         Raises:
             DataError: If the file is absent, truncated, of another shape, or holds no depth; the message names it.
         """
-        levels = read_levels(path)
+        return self.metres(read_levels(path), path)
+
+    def metres(self, levels: NDArray[Any], path: Path | str) -> NDArray[np.float32]:
+        """Do as ``read`` does for the numbers (h, w) of a depth image; ``path`` names it.
+
+        Raises:
+            DataError: If it has another shape than the colour images.
+        """
         known = self._known(levels, path)
         whole = levels.dtype.kind in "ui"
         per_metre = self._format.levels_per_metre or (MILLIMETRES if whole else METRES)
@@ -85,7 +92,7 @@ class DepthReader:
         depth[~known | ~np.isfinite(depth)] = 0.0
         return self._resized(depth, path)
 
-    def _known(self, levels: NDArray[Any], path: Path) -> NDArray[np.bool_]:
+    def _known(self, levels: NDArray[Any], path: Path | str) -> NDArray[np.bool_]:
         """Return which pixels have a depth."""
         largest = np.iinfo(levels.dtype).max if levels.dtype.kind in "ui" else np.finfo(levels.dtype).max
         negative, saturated = levels < 0, levels == largest
@@ -100,7 +107,7 @@ class DepthReader:
         self._look_for_marks(levels[known], path)
         return known
 
-    def _look_for_marks(self, values: NDArray[Any], path: Path) -> None:
+    def _look_for_marks(self, values: NDArray[Any], path: Path | str) -> None:
         """Say so where many pixels share the largest value, which no surface does."""
         top = values.max(initial=0)
         share = float((values == top).mean()) if len(values) else 0.0
@@ -112,7 +119,7 @@ class DepthReader:
                 f"data.depth_invalid=[{listed}]",
             )
 
-    def _resized(self, depth: NDArray[np.float32], path: Path) -> NDArray[np.float32]:
+    def _resized(self, depth: NDArray[np.float32], path: Path | str) -> NDArray[np.float32]:
         height, width = depth.shape
         if (width, height) == self._size:
             return depth
@@ -135,7 +142,9 @@ def read_levels(path: Path) -> NDArray[Any]:
         DataError: If the file is absent, truncated, or holds no depth; the message names it.
     """
     suffix = path.suffix.lower()
-    levels = _npy(path) if suffix == ".npy" else _exr(path) if suffix == ".exr" else _decode(path, cv2.IMREAD_UNCHANGED)
+    levels = (
+        _npy(path) if suffix == ".npy" else _exr(path) if suffix == ".exr" else decode_file(path, cv2.IMREAD_UNCHANGED)
+    )
     if levels.ndim == 3 and levels.shape[-1] in (3, 4) and (levels[..., :3] == levels[..., :1]).all():
         levels = levels[..., 0]
     elif levels.ndim > 2:

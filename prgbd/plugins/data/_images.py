@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -47,10 +47,15 @@ def common_levels(images: Sequence[Path]) -> tuple[Levels, str]:
     Args:
         images: All images of the recording.
     """
+    return levels_over(lambda index: _colour(images[index]), len(images))
+
+
+def levels_over(read: Callable[[int], NDArray], count: int) -> tuple[Levels, str]:
+    """Do as ``common_levels`` does for images that ``read`` returns by number, with the values that they have."""
     values: list[NDArray] = []
-    for index in np.unique(np.linspace(0, len(images) - 1, LOOKED_AT).astype(int)):
+    for index in np.unique(np.linspace(0, count - 1, LOOKED_AT).astype(int)):
         with contextlib.suppress(DataError):
-            values.append(_colour(images[index]))
+            values.append(read(int(index)))
         if values and values[0].dtype == np.uint8:
             break
     return levels_of(values)
@@ -74,26 +79,52 @@ def list_images(folder: Path) -> list[Path]:
 
 def _colour(path: Path) -> NDArray:
     """Return an image as (H, W, 3) BGR values of the type that the file has."""
-    image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    return colour(_content(path), path)
+
+
+def colour(data: bytes, where: Path | str) -> NDArray:
+    """Return the content of an image file as (H, W, 3) BGR values of the type that it has.
+
+    Raises:
+        DataError: If it is truncated or no image; ``where`` names it.
+    """
+    image = decoded(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, where)
     return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
 
 
-def _decode(path: Path, flags: int) -> NDArray:
-    try:
-        data = whole(require_file(path, "an image of the recording").read_bytes())
-    except OSError as error:
-        raise DataError(f"The image {path} cannot be read ({error.strerror}); check the file.") from error
-    image = None
-    if data:
+def decode_file(path: Path, flags: int) -> NDArray:
+    """Return the pixels of an image file as OpenCV's flags ask for them.
+
+    Raises:
+        DataError: If the file is absent, truncated or no image.
+    """
+    return decoded(_content(path), flags, path)
+
+
+def decoded(data: bytes, flags: int, where: Path | str) -> NDArray:
+    """Do as ``decode_file`` does for the content of a file; ``where`` names it.
+
+    Raises:
+        DataError: If it is truncated or no image.
+    """
+    complete, image = whole(data), None
+    if complete:
         try:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            image = cv2.imdecode(np.frombuffer(complete, np.uint8), flags)
             if image is None:  # grey images of floats have no three channels
-                image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+                image = cv2.imdecode(np.frombuffer(complete, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             image = None
     if image is None:
-        raise DataError(f"{path} is truncated or no image; copy the file anew or leave the frame out.")
+        raise DataError(f"{where} is truncated or no image; copy the file anew or leave the frame out.")
     return image
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return require_file(path, "an image of the recording").read_bytes()
+    except OSError as error:
+        raise DataError(f"The image {path} cannot be read ({error.strerror}); check the file.") from error
 
 
 def _check_size(path: Path, image: NDArray, size: tuple[int, int] | None) -> None:

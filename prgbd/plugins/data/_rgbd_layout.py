@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,17 @@ def depth_of_images(depth_times: Times, depths: list[Path], times: Times, where:
     Raises:
         DataError: If no image has one.
     """
+    found_files = [None if i < 0 else depths[i] for i in partners_of_images(depth_times, times, where)]
+    warn_if_few(found_files, where)
+    return found_files
+
+
+def partners_of_images(depth_times: Times, times: Times, where: Path) -> NDArray[np.int64]:
+    """Return the number of the depth image of each image, (N,), -1 where there is none within 0.02 s.
+
+    Raises:
+        DataError: If no image has one.
+    """
     what = f"the depth images of {where}"
     clock = _said(common_clock(depth_times, times, what))
     partners = _partners(clock.seconds(depth_times), times)
@@ -94,12 +106,10 @@ def depth_of_images(depth_times: Times, depths: list[Path], times: Times, where:
             f"None of the {len(times)} images has a depth image within {REACH:g} s. "
             + no_meeting(depth_times, times, what)
         )
-    found_files = [None if i < 0 else depths[i] for i in partners]
-    warn_if_few(found_files, where)
-    return found_files
+    return partners
 
 
-def warn_if_few(depths: Sequence[Path | None], where: Path) -> None:
+def warn_if_few(depths: Sequence[Any], where: Path) -> None:
     """Say so where less than half of the images have depth."""
     found = sum(path is not None for path in depths)
     if found < FEW * len(depths):
