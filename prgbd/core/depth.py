@@ -51,7 +51,8 @@ class DepthEstimator(nn.Module, ABC):
             images: (B, 3, H, W) float RGB in [0, 1].
 
         Returns:
-            Depth maps finest first, each (B, 1, H_s, W_s), positive and differentiable.
+            Depth maps finest first, each (B, 1, H_s, W_s), positive and differentiable; and, where the network knows
+            it, the standard deviation of the logarithm of the finest one.
         """
 
     @contextlib.contextmanager
@@ -98,19 +99,38 @@ class DepthEstimator(nn.Module, ABC):
         Returns:
             (H, W) float32 depth, metres if ``metric``.
         """
+        return _resized_depth(self._finest(image).depth, (image.shape[0], image.shape[1]))
+
+    def predict_with_sigma(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Predict depth as ``predict`` does, and how wrong it may be.
+
+        A network that brings a ``predict`` of its own and predicts deviations brings this as well.
+
+        Args:
+            image: (H, W, 3) uint8 RGB.
+
+        Returns:
+            (H, W) float32 depth, and (H, W) float32 standard deviation of its logarithm, None where the network does
+            not predict it.
+        """
+        if type(self).predict is not DepthEstimator.predict:
+            return self.predict(image), None
+        prediction = self._finest(image)
+        sigma = prediction.sigma
+        size = (image.shape[0], image.shape[1])
+        return _resized_depth(prediction.depth, size), None if sigma is None else resized_sigma(_array(sigma), size)
+
+    def _finest(self, image: NDArray[np.uint8]) -> DepthPrediction:
+        """Predict at the network's size, in evaluation mode and without gradients."""
         was_training = self.training
         self.eval()
         try:
             with torch.inference_mode(), self.finest_scale():
                 device = next((p.device for p in self.parameters()), torch.device("cpu"))
-                depth = self(self.preprocess(image)[None].to(device)).depth[0, 0].float().cpu().numpy()
+                prediction: DepthPrediction = self(self.preprocess(image)[None].to(device))
+                return prediction
         finally:
             self.train(was_training)
-        height, width = image.shape[:2]
-        if depth.shape == (height, width):
-            return depth.astype(np.float32)
-        inverse = cv2.resize(1.0 / depth, (width, height), interpolation=cv2.INTER_LINEAR)
-        return (1.0 / inverse).astype(np.float32)
 
     def pose_network(self) -> nn.Module | None:
         """Return the pose network that belongs to this network's self-supervised pre-training, or None.
@@ -134,6 +154,26 @@ class DepthEstimator(nn.Module, ABC):
         folder = Path(folder)
         path = folder / self.weights_file if folder.is_dir() else folder
         load_matching(self, read_state_dict(path), path)
+
+
+def resized_sigma(sigma: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Bring a map of standard deviations, (h, w) float32, to the (height, width) of an image."""
+    if sigma.shape == size:
+        return sigma
+    return np.asarray(cv2.resize(sigma, size[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _array(maps: Tensor) -> NDArray[np.float32]:
+    """The first of (B, 1, H, W) maps as (H, W) float32."""
+    return np.asarray(maps[0, 0].float().cpu().numpy(), np.float32)
+
+
+def _resized_depth(depths: Tensor, size: tuple[int, int]) -> NDArray[np.float32]:
+    depth = _array(depths)
+    if depth.shape == size:
+        return depth
+    inverse = cv2.resize(1.0 / depth, size[::-1], interpolation=cv2.INTER_LINEAR)
+    return (1.0 / inverse).astype(np.float32)
 
 
 def weights_fingerprint(module: nn.Module) -> str:

@@ -36,10 +36,11 @@ class LossInputs:
     def current(self) -> DepthPrediction:
         """The depth of the keyframe c at every scale, maps of (B, 1, H_s, W_s)."""
         size = len(self.batch.images)
-        disparities = self.prediction.disparities
+        disparities, sigma = self.prediction.disparities, self.prediction.sigma
         return DepthPrediction(
             tuple(depth[:size] for depth in self.prediction.depths),
             None if disparities is None else tuple(disparity[:size] for disparity in disparities),
+            None if sigma is None else sigma[:size],
         )
 
     def depth(self, view: View = View.CURRENT) -> Tensor:

@@ -146,6 +146,8 @@ class Frame:
         image: (H, W, 3) uint8 RGB.
         depth: (H, W) float32 in metres (or up to scale, for pseudo depth); 0 where unknown. None without a sensor.
         right: (H, W, 3) uint8 RGB, the rectified right image of a stereo pair, or None.
+        depth_sigma: (H, W) float32, positive: the standard deviation of the logarithm of ``depth``, without the error
+            of scale that all of the frame shares. None where nobody knows it.
     """
 
     index: int
@@ -153,10 +155,11 @@ class Frame:
     image: NDArray[np.uint8]
     depth: NDArray[np.float32] | None = None
     right: NDArray[np.uint8] | None = None
+    depth_sigma: NDArray[np.float32] | None = None
 
-    def with_depth(self, depth: NDArray[np.float32] | None) -> Frame:
-        """Return the frame with another depth map."""
-        return replace(self, depth=depth)
+    def with_depth(self, depth: NDArray[np.float32] | None, sigma: NDArray[np.float32] | None = None) -> Frame:
+        """Return the frame with another depth map and its standard deviation of log depth."""
+        return replace(self, depth=depth, depth_sigma=sigma)
 
 
 @dataclass(frozen=True)
@@ -288,10 +291,13 @@ class DepthPrediction:
         depths: Tensors (B, 1, H_s, W_s), positive, differentiable; metres if the estimator is metric, else up to scale.
         disparities: The network's own inverse-depth-like output per scale, where it has one. The smoothness term is
             defined on it (Monodepth2); without it the term uses 1 / depth.
+        sigma: (B, 1, H, W), positive: the standard deviation of the logarithm of the finest depth, without the error of
+            scale that all of an image shares. None where the network does not predict it.
     """
 
     depths: tuple[torch.Tensor, ...]
     disparities: tuple[torch.Tensor, ...] | None = None
+    sigma: torch.Tensor | None = None
 
     @property
     def depth(self) -> torch.Tensor:

@@ -80,6 +80,15 @@ def check_depth_map(depth: Any, shape: tuple[int, int], who: str, *, allow_unkno
     require(lowest >= 0 if allow_unknown else lowest > 0, who, f"gave a depth of {lowest:g}; depth must be positive.")
 
 
+def check_sigma_map(sigma: Any, shape: tuple[int, int], who: str) -> None:
+    """Require an (H, W) float32 map of positive, finite standard deviations of log depth."""
+    found = f"{sigma.shape} {sigma.dtype}" if isinstance(sigma, np.ndarray) else type(sigma).__name__
+    fits = isinstance(sigma, np.ndarray) and sigma.shape == shape and sigma.dtype == np.float32
+    require(fits, who, f"gave the deviation of depth as {found}; it must be {shape} float32 like the depth.")
+    fine = bool(((sigma > 0) & (sigma < np.inf)).all())
+    require(fine, who, "gave deviations of depth that are zero, negative, NaN or infinite; they must be positive.")
+
+
 def check_image(image: Any, who: str) -> None:
     """Require an (H, W, 3) uint8 image; a gray one, or one of numbers up to 1, would give nonsense further on."""
     fits = isinstance(image, np.ndarray) and image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
@@ -102,6 +111,8 @@ def check_frame(frame: Any, camera: PinholeCamera, who: str) -> None:
     require(dated, here, f"gave the time stamp {frame.timestamp}; it must be seconds, a finite number.")
     if frame.depth is not None:
         check_depth_map(frame.depth, shape, here)
+    if frame.depth_sigma is not None:
+        check_sigma_map(frame.depth_sigma, shape, here)
 
 
 def check_prediction(prediction: Any, images: Tensor, who: str) -> None:
@@ -129,6 +140,19 @@ def check_prediction(prediction: Any, images: Tensor, who: str) -> None:
         require(fine, who, "returned depth that is zero, negative, NaN or infinite; depth must be positive and finite.")
         widths.append(shape[3])
     require(widths == sorted(widths, reverse=True), who, f"returned scales of widths {widths}; put the finest first.")
+    if prediction.sigma is not None:
+        _check_sigma(prediction.sigma, tuple(prediction.depth.shape), who)
+
+
+def _check_sigma(sigma: Any, shape: tuple[int, ...], who: str) -> None:
+    """Require the deviation of a prediction to fit its finest depth."""
+    import torch
+
+    real = isinstance(sigma, torch.Tensor) and sigma.is_floating_point() and tuple(sigma.shape) == shape
+    found = f"{tuple(sigma.shape)} {sigma.dtype}" if isinstance(sigma, torch.Tensor) else type(sigma).__name__
+    require(real, who, f"returned sigma as {found}; it must be floating point of shape {shape} like the finest depth.")
+    fine = bool(((sigma.detach() > 0) & (sigma.detach() < torch.inf)).all())
+    require(fine, who, "returned a sigma that is zero, negative, NaN or infinite; it must be positive and finite.")
 
 
 def check_tracking_result(result: Any, who: str) -> None:

@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,12 +102,14 @@ class FlipAveraged(DepthWrapper):
         if self.training:
             return super().forward(images)
         both = super().forward(torch.cat([images, images.flip(3)]))
-        return DepthPrediction(tuple(1 / self._blended(1 / depth, len(images)) for depth in both.depths))
+        depths = tuple(1 / self._blended(1 / depth, len(images)) for depth in both.depths)
+        sigma = None if both.sigma is None else self._blended(both.sigma, len(images))
+        return DepthPrediction(depths, sigma=sigma)
 
     @staticmethod
-    def _blended(inverse: Tensor, count: int) -> Tensor:
-        straight, mirrored = inverse[:count], inverse[count:].flip(3)
-        across = torch.linspace(0.0, 1.0, inverse.shape[3], device=inverse.device, dtype=inverse.dtype)
+    def _blended(maps: Tensor, count: int) -> Tensor:
+        straight, mirrored = maps[:count], maps[count:].flip(3)
+        across = torch.linspace(0.0, 1.0, maps.shape[3], device=maps.device, dtype=maps.dtype)
         left = 1 - (20 * (across - 0.05)).clamp(0, 1)  # one at the border, zero after a tenth of the width
         right = left.flip(0)
         # What the mirror image says of the left border, it saw at its right one, and so with all its context.
@@ -141,7 +144,7 @@ class Scaled(DepthWrapper):
     def forward(self, images: Tensor) -> DepthPrediction:
         """See ``DepthEstimator.forward``."""
         prediction = super().forward(images)
-        return DepthPrediction(tuple(self.factor * depth for depth in prediction.depths), prediction.disparities)
+        return replace(prediction, depths=tuple(self.factor * depth for depth in prediction.depths))
 
     def extra_repr(self) -> str:
         """What sets it apart from another one."""
@@ -173,8 +176,7 @@ class MedianScaled(DepthWrapper):
         prediction = super().forward(images)
         # No gradient through the factor: it would belong to one pixel, the median's.
         middle = prediction.depth.detach().flatten(1).median(1).values[:, None, None, None]
-        depths = tuple(depth * (self.median / middle) for depth in prediction.depths)
-        return DepthPrediction(depths, prediction.disparities)
+        return replace(prediction, depths=tuple(depth * (self.median / middle) for depth in prediction.depths))
 
     def extra_repr(self) -> str:
         """What sets it apart from another one."""
@@ -213,7 +215,7 @@ class Clipped(DepthWrapper):
     def forward(self, images: Tensor) -> DepthPrediction:
         """See ``DepthEstimator.forward``."""
         prediction = super().forward(images)
-        return DepthPrediction(tuple(depth.clamp(*self.limits) for depth in prediction.depths), prediction.disparities)
+        return replace(prediction, depths=tuple(depth.clamp(*self.limits) for depth in prediction.depths))
 
     def extra_repr(self) -> str:
         """What sets it apart from another one."""
@@ -221,7 +223,7 @@ class Clipped(DepthWrapper):
 
 
 class Cached(DepthWrapper):
-    """Remembers the last predictions of ``predict``; changed weights and other images are predicted anew.
+    """Remembers the last predictions of single images; changed weights and other images are predicted anew.
 
     Args:
         estimator: The estimator to wrap.
@@ -231,20 +233,25 @@ class Cached(DepthWrapper):
     def __init__(self, estimator: DepthEstimator, size: Count = 64) -> None:
         super().__init__(estimator)
         self.size = size
-        self._known: OrderedDict[Any, NDArray[np.float32]] = OrderedDict()
+        self._known: OrderedDict[Any, tuple[NDArray[np.float32], NDArray[np.float32] | None]] = OrderedDict()
 
     def predict(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """See ``DepthEstimator.predict``."""
+        return self.predict_with_sigma(image)[0]
+
+    def predict_with_sigma(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """See ``DepthEstimator.predict_with_sigma``."""
         tensors = (*self.parameters(), *self.buffers())
         # A tensor counts the changes that are made to it.
         weights = tuple((t.data_ptr(), t._version) for t in tensors)
         key = (hashlib.sha256(np.ascontiguousarray(image).tobytes()).digest(), image.shape, weights)
         if key not in self._known:
-            self._known[key] = self.estimator.predict(image)
+            self._known[key] = self.estimator.predict_with_sigma(image)
             while len(self._known) > self.size:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
-        return self._known[key].copy()
+        depth, sigma = self._known[key]
+        return depth.copy(), None if sigma is None else sigma.copy()
 
 
 WRAPPERS: dict[str, Callable[..., DepthWrapper]] = {

@@ -19,20 +19,24 @@ from numpy.typing import NDArray
 from prgbd.core import wrappers
 from prgbd.core.computing import Computing
 from prgbd.core.data import Sequence
-from prgbd.core.depth import DepthEstimator, weights_fingerprint
-from prgbd.core.errors import ContractError, DataError
+from prgbd.core.depth import DepthEstimator, resized_sigma, weights_fingerprint
+from prgbd.core.errors import ContractError
 from prgbd.core.slam import adaptive_baseline
 from prgbd.core.types import Frame
-from prgbd.core.validation import check_depth_shape
-from prgbd.io.disk import allocated
-from prgbd.io.files import atomic_path, read_json, write_json
+from prgbd.core.validation import check_depth_shape, check_sigma_map, require
 from prgbd.loop.decoding import Batch, decoded
 from prgbd.loop.monitor import Monitor, SilentMonitor
+from prgbd.loop.predicted_depth import PredictedDepth
 
 if TYPE_CHECKING:
     from lightning.fabric import Fabric
 
 _SUBSAMPLING = 8
+_FORMAT = "inverse depth, deviations in bytes"
+_MIXED = "gave deviations of depth for some frames alone; it must give them for all, or for none."
+
+Maps = tuple[NDArray[np.float32], NDArray[np.float32] | None]
+"""Depth of a frame, (h, w), and the standard deviation of its logarithm where the network predicts it."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +47,13 @@ class DepthStatistics:
         depth_max: The largest depth over the sequence, or its percentile where that was asked for.
         median: Median depth of every frame, whose jumps show the network's scale drifting.
         maximum: Largest depth of every frame.
+        sigma: Median predicted standard deviation of log depth of every frame; None where the network predicts none.
     """
 
     depth_max: float
     median: list[float]
     maximum: list[float]
+    sigma: list[float] | None = None
 
     @property
     def adaptive_baseline(self) -> float:
@@ -64,19 +70,20 @@ class DepthStatistics:
             "median_depth_lowest": float(median.min()),
             "median_depth_highest": float(median.max()),
             "largest_scale_step": float(np.expm1(steps.max())),
+            **({} if self.sigma is None else {"median_sigma": float(np.median(self.sigma))}),
         }
 
 
 class DepthSensor:
     """Frames of a sequence with the depth that a network predicts for them.
 
-    Depth is predicted once per frame at the network's size and its inverse kept in a file (4 bytes a pixel), so
-    memory does not grow with the sequence; it is resized to the image's size when a frame is asked for.
+    Depth is predicted once per frame at the network's size and kept in a file with its standard deviation, so memory
+    does not grow with the sequence; both are resized to the image's size when a frame is asked for.
 
     Args:
         estimator: The network; it is used in evaluation mode.
         sequence: The recording.
-        cache: Folder for the file of predicted depth. The name holds the plug-in, its weights and the recording.
+        cache: Folder for the files of predicted depth. Their names hold the plug-in, its weights and the recording.
         name: Id of the depth plug-in, for messages and the cache's name.
         percentile: d_max is this percentile of all predicted depths; 100 is the paper's largest depth.
         batch_size: Frames per forward pass; None is 8 on a GPU, 1 on the CPU, and there 4 in half precision, where a
@@ -110,11 +117,13 @@ class DepthSensor:
         self._device = lies if fabric is None else fabric.device
         self._batch_size = batch_size or self.automatic_batch_size(self._computing, self._device)
         key = cache_key(estimator, sequence, name, self._computing.description(self._device))
-        stem = f"{sequence.name}-{key}"
-        self.path = cache / f"{stem}.npy"
-        self._statistics_path = cache / f"{stem}.json"
-        self._inverse: NDArray[np.float32] | None = None
+        self._files = PredictedDepth(cache, f"{sequence.name}-{key}", len(sequence))
         self._statistics: DepthStatistics | None = None
+
+    @property
+    def path(self) -> Path:
+        """The file of inverse depth."""
+        return self._files.path
 
     @staticmethod
     def automatic_batch_size(computing: Computing, device: torch.device) -> int:
@@ -130,7 +139,7 @@ class DepthSensor:
             ContractError: If the network gives depth that is not positive and finite; it names plug-in and frame.
         """
         if self._statistics is None:
-            if not (self.path.is_file() and self._statistics_path.is_file()):
+            if not self._files.complete:
                 self._predict_all()
             self._statistics = self._read_statistics()
         return self._statistics
@@ -144,56 +153,53 @@ class DepthSensor:
             yield self.frame(index)
 
     def frame(self, index: int) -> Frame:
-        """Return a frame whose depth is the network's, (H, W) float32 at the image's size."""
-        frame = self.sequence.frame(index)
-        return frame.with_depth(self.depth(index))
+        """Return a frame whose depth, and what is known of its deviation, are the network's, at the image's size."""
+        return self.sequence.frame(index).with_depth(self.depth(index), self.sigma(index))
 
     def depth(self, index: int) -> NDArray[np.float32]:
         """Return the predicted depth of a frame at the image's size, (H, W) float32 in the network's unit."""
         self.prepare()
-        if self._inverse is None:
-            self._inverse = self._stored()
         camera = self.sequence.camera
         # The inverse is what is interpolated: an edge between near and far must not smear towards the far side.
-        inverse = np.array(self._inverse[index])
-        if not (np.isfinite(inverse).all() and inverse.min() > 0):
-            raise self._damaged(f"frame {index} holds values that are no depth")
+        inverse: NDArray[Any] = self._files.inverse(index)
         if inverse.shape != (camera.height, camera.width):
             inverse = cv2.resize(inverse, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
         return (1.0 / inverse).astype(np.float32)
 
+    def sigma(self, index: int) -> NDArray[np.float32] | None:
+        """Return the standard deviation of a frame's log depth, (H, W) float32; None where none is predicted."""
+        if self.prepare().sigma is None:
+            return None
+        camera = self.sequence.camera
+        return resized_sigma(self._files.sigma(index), (camera.height, camera.width))
+
     def forget(self) -> None:
-        """Delete the file of predicted depth."""
-        self._inverse = None
-        self.path.unlink(missing_ok=True)
-        self._statistics_path.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # others may have left something there
-            self.path.parent.rmdir()
+        """Delete the files of predicted depth."""
+        self._files.forget()
 
     def _predict_all(self) -> None:
         count = len(self.sequence)
         median, maximum = np.zeros(count), np.zeros(count)
+        sigmas: list[float] = []
         with (
-            atomic_path(self.path) as temporary,
+            self._files.writing() as writer,
             self._monitor.stage(f"Depth of {self.sequence.name}", count) as progress,
             contextlib.closing(self._predictions()) as predictions,
         ):
-            file: NDArray[np.float32] | None = None
-            for index, depth in enumerate(predictions):
-                if file is None:
-                    file = allocated(temporary, (count, *depth.shape), np.float32)
-                self._check(depth, index)
-                file[index] = 1.0 / depth
+            for index, (depth, sigma) in enumerate(predictions):
+                self._check(depth, sigma, index)
+                require(index == 0 or (sigma is not None) == bool(sigmas), self._who(index), _MIXED)
+                writer.add(index, depth, sigma)
                 median[index], maximum[index] = float(np.median(depth)), float(depth.max())
+                if sigma is not None:
+                    sigmas.append(float(np.median(sigma)))
                 progress.advance()
-            assert file is not None  # a sequence has at least one frame
-            depth_max = float(maximum.max()) if self.percentile >= 100 else self._percentile(file)
-            file.flush()  # type: ignore[attr-defined]
-            del file
-        write_json(self._statistics_path, asdict(DepthStatistics(depth_max, median.tolist(), maximum.tolist())))
+            depth_max = float(maximum.max()) if self.percentile >= 100 else self._percentile(writer.inverse)
+        figures = DepthStatistics(depth_max, median.tolist(), maximum.tolist(), sigmas or None)
+        self._files.write_figures(asdict(figures))
 
-    def _predictions(self) -> Generator[NDArray[np.float32]]:
-        """Yield the depth of every frame, (h, w): at the network's size, or what the plug-in's own `predict` gives."""
+    def _predictions(self) -> Generator[Maps]:
+        """Yield the maps of every frame: at the network's size, or what the plug-in's own ``predict`` gives."""
         if self._fabric is not None:
             self._fabric.to_device(self.estimator)  # every training leaves it on the CPU
         was_training = self.estimator.training
@@ -215,30 +221,40 @@ class DepthSensor:
         def prepare(frames: list[Frame]) -> torch.Tensor:
             return self._computing.stacked([self.estimator.observe(self.sequence, frame) for frame in frames])
 
-        brings_predict = type(self.estimator).predict is not DepthEstimator.predict
-        return decoded(self.sequence, self._batch_size, self._device, None if brings_predict else prepare)
+        return decoded(self.sequence, self._batch_size, self._device, None if self._brings_predict else prepare)
 
-    def _predict(self, frames: list[Frame], batch: torch.Tensor | None) -> NDArray[np.float32]:
-        """Predict (n, h, w) depth."""
+    @property
+    def _brings_predict(self) -> bool:
+        kind = type(self.estimator)
+        own = kind.predict is DepthEstimator.predict and kind.predict_with_sigma is DepthEstimator.predict_with_sigma
+        return not own
+
+    def _predict(self, frames: list[Frame], batch: torch.Tensor | None) -> list[Maps]:
         if batch is None:
-            maps = [self.estimator.predict(frame.image) for frame in frames]
-            for frame, depth in zip(frames, maps, strict=True):
-                who = f"The depth plug-in '{self.name}', frame {frame.index} of '{self.sequence.name}',"
-                check_depth_shape(depth, frame.image.shape[:2], who)
-            return np.stack(maps)
+            maps = [self.estimator.predict_with_sigma(frame.image) for frame in frames]
+            for frame, (depth, _) in zip(frames, maps, strict=True):
+                check_depth_shape(depth, frame.image.shape[:2], self._who(frame.index))
+            return maps
         try:
             prediction = self.estimator(self._computing.arranged(batch.to(self._device)))
         except ContractError as error:
             raise ContractError(f"{error} It happened at frame {frames[0].index} of '{self.sequence.name}'.") from error
-        return np.asarray(prediction.depth[:, 0].float().cpu().numpy(), np.float32)
+        depths = _arrays(prediction.depth)
+        sigmas = [None] * len(depths) if prediction.sigma is None else list(_arrays(prediction.sigma))
+        return list(zip(depths, sigmas, strict=True))
 
-    def _check(self, depth: NDArray[np.float32], index: int) -> None:
+    def _who(self, index: int) -> str:
+        return f"The depth plug-in '{self.name}', frame {index} of '{self.sequence.name}',"
+
+    def _check(self, depth: NDArray[np.float32], sigma: NDArray[np.float32] | None, index: int) -> None:
         bad = int(np.count_nonzero(~(np.isfinite(depth) & (depth > 0))))
         if bad:
             raise ContractError(
                 f"The depth plug-in '{self.name}' predicted {bad} values that are zero, negative, NaN or infinite at "
                 f"frame {index} of '{self.sequence.name}'; depth must be positive and finite, so check its weights."
             )
+        if sigma is not None:
+            check_sigma_map(sigma, (depth.shape[0], depth.shape[1]), self._who(index))
 
     def _percentile(self, inverse: NDArray[np.float32]) -> float:
         """The percentile of depth over a regular subset of pixels: every pixel would not fit into memory."""
@@ -246,44 +262,24 @@ class DepthSensor:
         pixels = np.concatenate([frame[::step, ::step].ravel() for frame in inverse])
         return float(1.0 / np.percentile(pixels, 100.0 - self.percentile))
 
-    def _stored(self) -> NDArray[np.float32]:
-        """Open the file of inverse depth.
-
-        Raises:
-            DataError: If it is damaged.
-        """
-        try:
-            stored: NDArray[np.float32] = np.load(self.path, mmap_mode="r")
-        except (OSError, ValueError, EOFError, SyntaxError) as error:
-            raise self._damaged(type(error).__name__) from error
-        if not isinstance(stored, np.ndarray) or stored.dtype != np.float32 or stored.ndim != 3 or not stored.size:
-            raise self._damaged("it holds something else")
-        if len(stored) != len(self.sequence):
-            raise self._damaged(f"it holds {len(stored)} frames of {len(self.sequence)}")
-        return stored
-
-    def _damaged(self, why: str) -> DataError:
-        return DataError(
-            f"The predicted depth {self.path} is damaged ({why}); delete it and {self._statistics_path.name}, so that "
-            "it is predicted again."
-        )
-
     def _read_statistics(self) -> DepthStatistics:
-        count = len(self.sequence)
-        stored = read_json(self._statistics_path)
-        columns = [stored.get(name) for name in ("median", "maximum")] if isinstance(stored, dict) else []
-        if not columns or not all(_are_depths(column, count) for column in columns):
-            raise self._damaged("its figures are not those of the recording")
-        stored = {"median": columns[0], "maximum": columns[1]}
-        if self.percentile < 100:
-            # The cache may have been filled under another percentile.
-            stored["depth_max"] = self._percentile(self._stored())
-        else:
-            stored["depth_max"] = float(max(stored["maximum"]))
-        return DepthStatistics(**stored)
+        count, stored = len(self.sequence), self._files.read_figures()
+        columns: list[Any] = [stored.get(name) for name in ("median", "maximum")] if isinstance(stored, dict) else []
+        sigma = stored.get("sigma") if columns else None
+        if not columns or not all(_are_positive(column, count) for column in (*columns, sigma or columns[0])):
+            raise self._files.damaged("its figures are not those of the recording")
+        median, maximum = columns
+        # The cache may have been filled under another percentile.
+        depth_max = float(max(maximum)) if self.percentile >= 100 else self._percentile(self._files.all_inverse())
+        return DepthStatistics(depth_max, median, maximum, sigma)
 
 
-def _are_depths(column: Any, count: int) -> bool:
+def _arrays(maps: torch.Tensor) -> NDArray[np.float32]:
+    """(B, 1, H, W) maps as (B, H, W) float32."""
+    return np.asarray(maps[:, 0].float().cpu().numpy(), np.float32)
+
+
+def _are_positive(column: Any, count: int) -> bool:
     """Whether a column of figures has a finite positive number for every frame."""
     numbers = isinstance(column, list) and all(type(value) in (int, float) for value in column)
     return numbers and len(column) == count and all(0 < value < float("inf") for value in column)
@@ -292,6 +288,7 @@ def _are_depths(column: Any, count: int) -> bool:
 def cache_key(estimator: DepthEstimator, sequence: Sequence, name: str, computing: Many[str] = ()) -> str:
     """Return what the predicted depth depends on: plug-in, weights, input size, recording, options and precision."""
     parts: list[Any] = [
+        _FORMAT,
         name,
         weights_fingerprint(estimator),
         list(estimator.input_size),

@@ -67,10 +67,11 @@ class DepthRefinement(lightning.LightningModule):
         if self.settings.channels_last:
             images = images.contiguous(memory_format=torch.channels_last)
         prediction: DepthPrediction = self.estimator(images)
-        disparities = prediction.disparities
+        disparities, sigma = prediction.disparities, prediction.sigma
         prediction = DepthPrediction(
             tuple(depth.float() for depth in prediction.depths),
             None if disparities is None else tuple(disparity.float() for disparity in disparities),
+            None if sigma is None else sigma.float(),
         )
         inputs = LossInputs(batch, self._views, prediction, generator)
         with torch.autocast(batch.images.device.type, enabled=False):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -34,6 +36,14 @@ class LeftRight(Constant):
         return DepthPrediction((across * self.log_depth.exp() * (1 + images.mean(1, keepdim=True)),))
 
 
+class Unsure(LeftRight):
+    """Says as well that it errs the more the nearer."""
+
+    def forward(self, images):
+        prediction = super().forward(images)
+        return replace(prediction, sigma=0.1 / prediction.depth.detach())
+
+
 @pytest.fixture
 def images():
     return torch.rand((2, 3, 32, 64), generator=torch.Generator().manual_seed(0))
@@ -56,6 +66,20 @@ def test_every_wrapper_keeps_the_contract(wrappers) -> None:
     prgbd.check_depth_estimator(wrapped)
     assert isinstance(wrapped, DepthWrapper)
     assert isinstance(wrapped.unwrapped, LeftRight)
+
+
+@pytest.mark.parametrize(
+    "name", ["flip_averaged", {"scaled": {"factor": 2}}, "median_scaled", "clipped", "cached"], ids=str
+)
+def test_every_wrapper_hands_deviations_on(name, images) -> None:
+    wrapped = wrap(Unsure(), [name])
+    prgbd.check_depth_estimator(wrapped)
+    image = (255 * images[0].permute(1, 2, 0)).byte().numpy()
+    depth, sigma = wrapped.predict_with_sigma(image)
+    assert sigma.shape == depth.shape == image.shape[:2]
+    # Scale is no matter of the deviations, and the mirror image says of the middle what the image says of it.
+    middle = np.s_[:, 31:33]
+    np.testing.assert_allclose(sigma[middle], Unsure().predict_with_sigma(image)[1][middle], rtol=0.05)
 
 
 def test_flip_averaging_takes_a_bias_of_the_sides_out_of_the_middle(images) -> None:

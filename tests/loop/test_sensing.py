@@ -9,6 +9,7 @@ from prgbd.core.computing import Computing
 from prgbd.core.errors import ContractError, DataError
 from prgbd.core.slam import adaptive_baseline
 from prgbd.loop.sensing import DepthSensor
+from prgbd.loop.sigma_codes import LARGEST, SMALLEST, from_codes, to_codes
 from tests.loop.fakes import NanDepth, Tiny, Wall, ZeroDepth
 
 
@@ -235,3 +236,71 @@ def test_the_network_is_asked_for_its_finest_scale_alone(tmp_path):
     make(network, tmp_path).prepare()
     assert set(network.asked) == {True}
     assert not network.only_finest
+
+
+class Unsure(Ramp):
+    """Says that its depth is the more wrong the darker the picture; ``spoilt`` is what it says at one pixel."""
+
+    spoilt = None
+
+    def forward(self, images):
+        sigma = 0.3 - 0.25 * images.mean(1, keepdim=True)
+        if self.spoilt is not None:
+            sigma[..., 3, 3] = self.spoilt
+        return DepthPrediction(super().forward(images).depths, sigma=sigma)
+
+
+def test_deviations_come_with_the_frame_and_from_the_cache(tmp_path):
+    network = Unsure()
+    for _ in range(2):
+        sensor = make(network, tmp_path)
+        for frame in sensor:
+            depth, sigma = network.predict_with_sigma(frame.image)
+            np.testing.assert_allclose(frame.depth, depth, rtol=1e-5)
+            assert frame.depth_sigma.dtype == np.float32
+            np.testing.assert_allclose(frame.depth_sigma, sigma, rtol=0.018)
+        assert sensor.prepare().diagnostics()["median_sigma"] == pytest.approx(np.median(sigma), rel=0.1)
+    assert Ramp.passes == 3 * 5  # the sensor's own five, and those that it is compared with
+    assert (tmp_path / f"{sensor.path.stem}-sigma.npy").stat().st_size < 1000 + 5 * 32 * 64
+    sensor.forget()
+    assert not tmp_path.exists()
+
+
+def test_a_network_without_deviations_gives_none(tmp_path):
+    sensor = make(Ramp(), tmp_path)
+    assert sensor.frame(0).depth_sigma is None
+    assert "median_sigma" not in sensor.prepare().diagnostics()
+
+
+@pytest.mark.parametrize("spoilt", [0.0, -1.0, float("nan"), float("inf")])
+def test_spoilt_deviations_name_plugin_and_frame_and_leave_nothing(tmp_path, spoilt):
+    network = Unsure()
+    network.spoilt = spoilt
+    with pytest.raises(ContractError, match=r"'test'.*frame 0 of 'wall'.*deviations of depth"):
+        make(network, tmp_path).prepare()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_deviations_of_some_frames_alone_are_refused(tmp_path):
+    class Moody(Ramp):
+        def predict_with_sigma(self, image):
+            depth = self.predict(image)
+            return depth, depth if Ramp.passes < 3 else None
+
+    with pytest.raises(ContractError, match=r"frame 2 of 'wall'.*for some frames alone"):
+        make(Moody(), tmp_path).prepare()
+
+
+def test_damaged_deviations_are_told_with_the_mend(tmp_path):
+    sensor = make(Unsure(), tmp_path)
+    sensor.prepare()
+    path = tmp_path / f"{sensor.path.stem}-sigma.npy"
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(DataError, match=f"{path.name} is damaged.*predicted again"):
+        sensor.frame(0)
+
+
+def test_bytes_hold_deviations_to_two_per_cent():
+    sigma = np.geomspace(SMALLEST, LARGEST, 1000).astype(np.float32)
+    np.testing.assert_allclose(from_codes(to_codes(sigma)), sigma, rtol=0.018)
+    np.testing.assert_allclose(from_codes(to_codes(np.float32([1e-6, 1e6]))), [SMALLEST, LARGEST], rtol=1e-5)

@@ -19,7 +19,7 @@ from prgbd.core.testing.passive import CheckedSLAM, check_declarations, with_che
 from prgbd.core.testing.planar_scene import planar_scene
 from prgbd.core.testing.refinement_checks import CHECKS
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
-from prgbd.core.validation import check_depth_map, check_frame, check_prediction, require
+from prgbd.core.validation import check_depth_map, check_frame, check_prediction, check_sigma_map, require
 
 if TYPE_CHECKING:
     from prgbd.core.depth import DepthEstimator
@@ -155,6 +155,10 @@ class _DepthChecks:
         again = estimator.predict(image)
         same = np.array_equal(depth, again)
         require(same, who, "predicts different depth for the same image; make it deterministic.")
+        beside, sigma = estimator.predict_with_sigma(image)
+        require(np.array_equal(depth, beside), who, "predicts other depth in predict_with_sigma than in predict.")
+        if sigma is not None:
+            check_sigma_map(sigma, size, f"{who}, in predict_with_sigma,")
         estimator.eval()
 
     def _save_and_load(self) -> None:
@@ -162,15 +166,18 @@ class _DepthChecks:
 
         estimator, images = self.estimator, self._images()
         with tempfile.TemporaryDirectory() as folder, torch.no_grad():
-            before = estimator(images).depth.clone()
+            before = estimator(images)
             estimator.save_weights(Path(folder) / "weights")
             saved = {name: value.clone() for name, value in estimator.state_dict().items()}
             for parameter in estimator.parameters():
                 parameter.add_(0.01)
             estimator.load_weights(Path(folder) / "weights")
-            after = estimator(images).depth
+            after = estimator(images)
             estimator.load_state_dict(saved)
-        same = torch.allclose(before, after, rtol=1e-4)
+        pairs = [(before.depth, after.depth)]
+        if before.sigma is not None:
+            pairs.append((before.sigma, after.sigma))
+        same = all(torch.allclose(*pair, rtol=1e-4) for pair in pairs)
         require(same, self.who, "predicts otherwise after save_weights and load_weights.")
 
 

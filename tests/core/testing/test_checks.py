@@ -223,8 +223,25 @@ def test_spoilt_estimators_are_caught() -> None:
         def predict(self, image):
             return super().predict(image)[:5]
 
+    class Certain(Constant):
+        def forward(self, images):
+            prediction = super().forward(images)
+            return replace(prediction, sigma=0 * prediction.depth)
+
+    class WrongSigma(Constant):
+        def forward(self, images):
+            prediction = super().forward(images)
+            return replace(prediction, sigma=prediction.depth[..., :5])
+
+    class OtherDepth(Constant):
+        def predict_with_sigma(self, image):
+            return 2 * self.predict(image), None
+
     for cls, message in (
         (NotANumber, "positive and finite"),
+        (Certain, "sigma that is zero"),
+        (WrongSigma, "like the finest depth"),
+        (OtherDepth, "other depth in predict_with_sigma"),
         (Detached, "no gradient"),
         (Forgetful, "after save_weights"),
         (WrongSize, "like the image"),
@@ -270,6 +287,8 @@ def test_a_sequence_without_frames_is_refused() -> None:
         ({"depth": np.ones((240, 320))}, ["float64", "float32 metres"]),
         ({"depth": np.ones((120, 160), np.float32)}, ["(120, 160)", "(240, 320)"]),
         ({"depth": None}, ["no depth", "'rgbd'"]),
+        ({"depth_sigma": np.ones((240, 320))}, ["float64", "float32 like the depth"]),
+        ({"depth_sigma": np.zeros((240, 320), np.float32)}, ["deviations of depth", "positive"]),
         ({"timestamp": None}, ["None", "seconds"]),
         ({"timestamp": float("nan")}, ["nan", "finite"]),
     ],
