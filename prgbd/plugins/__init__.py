@@ -27,6 +27,7 @@ BUILT_IN = (
     ("data", "rosbag", "rosbag:RosbagSequence", "bags of ROS 1 and ROS 2: images, depth and camera by their topics"),
     ("data", "images", "images:ImagesSequence", "a folder of images with a camera file or a field of view"),
     ("data", "video", "video:VideoSequence", "any video file that OpenCV reads"),
+    ("data", "camera", "camera:CameraSequence", "a webcam or stream, recorded first; or a video played as one"),
     ("loss", "photometric", "photometric:Photometric", "P: adjacent frames, warped by depth and pose, look alike"),
     ("loss", "smoothness", "smoothness:Smoothness", "S: depth changes where the image does"),
     ("loss", "depth_consistency", "depth_consistency:DepthConsistency", "D: depth is that of SLAM's points"),

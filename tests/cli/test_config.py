@@ -134,7 +134,7 @@ def test_yaml_of_plugins_gives_their_defaults(kind):
             continue
         options = REGISTRY.options(kind, plugin_id)
         for name, value in node.items():
-            if name in LOOP_KEYS[kind] or value == "???":
+            if name in LOOP_KEYS[kind] or value == "???" or "${" in str(value):  # a place in the run's folder
                 continue
             assert name in options, f"{path}: {name}"
             if (path.stem, name) != ("monodepth2", "weights"):  # a loop that starts from scratch is of no use
