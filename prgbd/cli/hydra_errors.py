@@ -30,6 +30,14 @@ MOVED = {
     "training.residual": "loss.depth_consistency.residual and loss.depth_transfer.residual",
 }
 """Options that were renamed: old -> new."""
+FORMER_CHOICES = {
+    "experiment/adapt": "its options are the defaults now: write slam=orb_gtsam depth=monodepth2 in its place",
+    **{
+        f"experiment/{name}": f"it is now experiment=paper/{name}"
+        for name in ("ablation", "kitti_eigen", "kitti_odometry", "tum")
+    },
+}
+"""Choices of groups that went, and what replaces them."""
 INSTEAD = {
     "video": "data=video data.root=FILE",
     "images": "data=images data.root=FOLDER",
@@ -99,6 +107,8 @@ def _type_of(key: str) -> Any:
 
 def _unknown_choice(path: str, options: list[str]) -> PrgbdError:
     group, _, name = path.removesuffix(".yaml").partition("/")
+    if (former := FORMER_CHOICES.get(f"{group}/{name}")) is not None:
+        return ConfigError(f"There is no {group} '{name}' any more; {former}.")
     if group == "hydra":
         package = {"joblib": "'prgbd[joblib]'", "submitit_slurm": "hydra-submitit-launcher"}.get(name.split("/")[-1])
         mend = f"pip install {package}" if package else "see --hydra-help"

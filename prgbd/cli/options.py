@@ -15,6 +15,7 @@ from prgbd.core.registry import SHORT_FOR
 from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.export import DEFAULT_FORMATS, check_formats
 from prgbd.loop.loop_settings import LoopSettings, SelfImprovement, SensingSettings
+from prgbd.training.budget import check_ends
 from prgbd.training.pretraining_settings import PretrainingSettings
 from prgbd.training.refinement_settings import RefinementSettings
 
@@ -36,7 +37,7 @@ class CommonOptions:
         viz: Watch SLAM: rerun (a recording viz/*.rrd in the run folder) or rerun_live (opens the viewer); extra viz.
         progress: Progress bars: auto (on a terminal), true or false.
         sensing: The depth network as a depth sensor.
-        training: Depth refinement; the defaults are the paper's.
+        training: Depth refinement; the paper's values are in ``experiment=paper``.
         pretraining: Of ``task=pretrain``; the defaults are Monodepth2's.
         evaluation: Where there is ground truth.
 
@@ -112,7 +113,8 @@ def read_options(config: Mapping[str, Any]) -> RunOptions:
     common["criterion"] = config.get("criterion") or {}
     options = from_mapping(RunOptions, {**common, **chosen, "task": _read_task(config["task"])})
     options.loop  # noqa: B018 - what cannot work together is found now, too
-    if options.task.name == SelfImprovement.name:
+    if isinstance(options.task, SelfImprovement):
+        check_ends(options.task.budget, options.training.epochs)
         options.training.check_plugins()
     return options
 

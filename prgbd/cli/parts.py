@@ -93,7 +93,7 @@ def make_parts(options: RunOptions) -> Parts:
     if isinstance(options.task, SelfImprovement):
         assert parts.make_slam is not None
         network = {"id": options.depth.id, **options.depth.options}
-        parts.make_baselines = baseline_makers(options.task.all_baselines, parts.make_slam, network)
+        parts.make_baselines = baseline_makers(options.task.baselines, parts.make_slam, network)
         parts.depth_tests = _depth_tests(options)
     parts.ids = {
         "slam": ids["slam"] if use_slam else "",

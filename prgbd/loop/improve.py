@@ -26,6 +26,7 @@ from prgbd.loop.seeding import seed_everything
 from prgbd.loop.self_improving import SelfImprovingLoop
 from prgbd.loop.store import DONE, RunStore
 from prgbd.loop.summary import RunIdentity, write_results
+from prgbd.training.budget import check_ends
 from prgbd.training.objective import METHOD
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.trainers import TrainerFactory
@@ -107,6 +108,7 @@ def improve(
     plugins = {"loss": {**METHOD, **(loss or {})}, "augmentation": augmentation or {}}
     refinement = from_mapping(RefinementSettings, {"seed": seed, **plugins, **(training or {})}, "training")
     refinement.check_plugins()
+    check_ends(settings.budget, refinement.epochs)
     seed_everything(seed)
     sequences, learnt = make_recordings(data)
     test_sequences, tested = make_recordings(test)
@@ -126,7 +128,7 @@ def improve(
         refinement=refinement,
         trainer=factory,
         test_sequences=test_sequences,
-        baselines=baseline_makers(settings.all_baselines, make_slam, network),
+        baselines=baseline_makers(settings.baselines, make_slam, network),
         monitor=monitor or PrintingMonitor(),
     )
     try:

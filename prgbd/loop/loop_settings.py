@@ -15,6 +15,7 @@ from prgbd.core.registry import REGISTRY
 from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.export import DEFAULT_FORMATS
 from prgbd.loop.map_files import MapFiles
+from prgbd.training.budget import read_budget
 
 
 @dataclass(frozen=True)
@@ -52,14 +53,18 @@ class SelfImprovement:
     """Options of ``task=self_improve``: SLAM on the network's depth, the network refined on SLAM's output, and again.
 
     Attributes:
-        max_loops: Refinements of the network at most (the paper: 5 on KITTI, 3 on TUM).
+        max_loops: Refinements of the network at most (the paper: 5 on KITTI, 3 on TUM). One long one did as much as
+            several short ones, each of which costs a SLAM run.
+        budget: How long each refinement learns: steps (500), a time that its first steps turn into a number (10min, 1h,
+            90s), or auto: ten passes over SLAM's keyframes, 30 to 300 steps. Not beside ``training.epochs``.
         min_improvement: Stop, and go back to the best loop, unless the criterion drops by more than this fraction; null
             never stops early and keeps the last loop, so that all runs of an ablation end after the same loop.
-        criterion: What decides whether a loop helped, the id of a plug-in: held_out (the loss of the refinement on
-            held-out keyframes), slam (what SLAM made of the refined network), both, or that of another package.
+        criterion: What decides whether a loop helped, the id of a plug-in: slam (what SLAM makes of the refined
+            network), held_out (the refinement's loss on held-out keyframes), both, or that of another package.
         patience: Go on after so many loops in a row that SLAM's evidence calls no better; the best one is kept anyway.
         first_teacher: What the first refinement learns from: pseudo_rgbd, SLAM on the network's depth as in all later
-            ones (the paper), or mono, SLAM on the images alone, for a network that does not know the scene yet.
+            ones (the paper), mono, SLAM on the images alone, or auto: for each recording mono where triangulation
+            refutes the network's depth, or where SLAM tracks clearly more frames without it.
         baselines: Further rows of the tables, on the test recordings or, without any, on all: mono (slam= on the images
             alone, the paper's RGB ORB-SLAM) and posenet (the pose network that lies beside depth.weights, its motions
             chained).
@@ -70,21 +75,17 @@ class SelfImprovement:
 
     name: ClassVar[str] = "self_improve"
 
-    max_loops: CountOrZero = 3
+    max_loops: CountOrZero = 1
+    budget: Count | str = "auto"
     min_improvement: Annotated[float, Range(0, 1, without=1)] | None = 0.0
-    criterion: str = "held_out"
+    criterion: str = "slam"
     patience: CountOrZero = 0
-    first_teacher: Literal["pseudo_rgbd", "mono"] = "pseudo_rgbd"
+    first_teacher: Literal["auto", "pseudo_rgbd", "mono"] = "auto"
     baselines: tuple[Literal["mono", "posenet"], ...] = ()
 
     def __post_init__(self) -> None:
         check_types(self, "task")
-
-    @property
-    def all_baselines(self) -> tuple[str, ...]:
-        """The baselines that run beside the loop; one that teaches the network is among them."""
-        teacher = ("mono",) if self.first_teacher == "mono" else ()
-        return tuple(dict.fromkeys((*self.baselines, *teacher)))
+        read_budget(self.budget)
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ class PoseRefinement:
         if wrong > _STRANGE and self.settings.max_loops and self.settings.first_teacher == "pseudo_rgbd":
             self.monitor.say(
                 f"  The network's depth of {name} is wrong by {wrong:.0%}: it does not know this scene. Let SLAM on "
-                "the images alone teach it first: task.first_teacher=mono, or experiment=adapt."
+                "the images alone teach it first: task.first_teacher=mono, or auto, the default."
             )
 
     def _find(self, sensor: DepthSensor) -> Evidence:

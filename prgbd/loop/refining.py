@@ -9,11 +9,10 @@ from typing import Any
 
 from lightning.pytorch.callbacks import Callback
 
-from prgbd.core.data import Sequence
 from prgbd.core.errors import SlamError
-from prgbd.core.types import SlamResult
 from prgbd.io.files import atomic_path
 from prgbd.loop.interrupts import interruptible
+from prgbd.loop.lessons import Lesson
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.monitor import Progress
 from prgbd.training.refinement import refine
@@ -49,25 +48,24 @@ class TrainingProgress(Callback):
             self._progress.advance(len(batch[0]), loss=f"{float(outputs['loss']):.4f}")
 
 
-def refine_in_run(parts: LoopParts, supervised: list[tuple[Sequence, SlamResult]], loop: int) -> dict[str, Any] | None:
+def refine_in_run(parts: LoopParts, lesson: Lesson, loop: int) -> dict[str, Any] | None:
     """Fine-tune the network in place; leave ``training/losses.csv`` and ``weights/`` in the loop's folder.
 
     Args:
         parts: What the loop works with; the network has the weights that SLAM ran with.
-        supervised: Recordings and what SLAM made of them.
+        lesson: Recordings, what SLAM made of them, and how long to learn from it.
         loop: Number of the loop.
 
     Returns:
         The figures of the training, or None if SLAM's output holds nothing to learn from.
     """
-    estimator, settings, store, monitor = parts.estimator, parts.refinement, parts.store, parts.monitor
-    assert settings is not None
+    estimator, store, monitor, plan = parts.estimator, parts.store, parts.monitor, lesson.plan
+    settings = plan.settings
     folder = store.loop(loop, "training")
-    keyframes = sum(len(result.keyframes) for _, result in supervised)
     try:
-        with interruptible(), monitor.stage("Refinement", keyframes * settings.epochs) as progress:
+        with interruptible(), monitor.stage("Refinement", _samples(lesson)) as progress:
             shown = parts.trainer.extended(TrainingProgress(progress, monitor.say), enable_progress_bar=False)
-            outcome = refine(estimator, supervised, settings, folder, shown)
+            outcome = refine(estimator, lesson.supervised, settings, folder, shown, plan.budget)
     except SlamError as error:
         monitor.say(f"  {error}")
         return None
@@ -84,8 +82,20 @@ def refine_in_run(parts: LoopParts, supervised: list[tuple[Sequence, SlamResult]
         "skipped": sum(outcome.skipped.values()),
         "skipped_because": "; ".join(f"{count} with {why}" for why, count in outcome.skipped.items()) or None,
         "points_per_sample": outcome.points_per_sample,
+        "steps": outcome.steps,
+        "learning_rate": settings.learning_rate,
+        "batch_size": settings.batch_size,
         "seconds": outcome.seconds,
     }
+
+
+def _samples(lesson: Lesson) -> int:
+    """Return how many samples a training sees; those of one pass where a time decides."""
+    settings, budget = lesson.plan.settings, lesson.plan.budget
+    keyframes = sum(len(result.keyframes) for _, result in lesson.supervised)
+    if budget is None:
+        return keyframes * int(settings.epochs)
+    return keyframes if budget.steps is None else budget.steps * settings.samples_per_step
 
 
 def write_losses(rows: list[dict[str, Any]], terms: tuple[str, ...], path: Path) -> None:

@@ -6,17 +6,16 @@ import math
 from typing import Any
 
 from prgbd.core.criterion import Criterion, Evidence
-from prgbd.core.data import Sequence
 from prgbd.core.depth import weights_fingerprint
 from prgbd.core.errors import ConfigError
 from prgbd.core.registry import make_criterion
-from prgbd.core.types import SlamResult
-from prgbd.loop.baselines import baseline_result, localise, run_baseline
+from prgbd.loop.baselines import run_baseline
+from prgbd.loop.lessons import Lesson, prepare
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.outcome import Failures
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name, step_name
+from prgbd.loop.recipe import announcement, plain, sentences
 from prgbd.loop.refining import refine_in_run
-from prgbd.loop.slam_runs import describe_pose
 from prgbd.loop.summary import write_summary, write_truth
 
 
@@ -52,6 +51,8 @@ class SelfImprovingLoop:
         self._check_weights()
         self._first_weights = {name: value.clone() for name, value in self.estimator.state_dict().items()}
         more = self._more()
+        if self.settings.max_loops:
+            self.monitor.say(announcement(self.settings, self.parts.refinement))
         self.store.step("truth", lambda: write_truth(self.store, self._sequences))
         loops: list[dict[str, Any]] = []
         stop: dict[str, Any] = {"reason": None, "best_loop": 0}
@@ -65,7 +66,7 @@ class SelfImprovingLoop:
             reason = self._judge(loops, stop)
             self._write(loops, more=more)
             if not reason and loop < self.settings.max_loops:
-                loops[-1]["training"], reason = self._refine(loop)
+                loops[-1]["training"], reason = self._refine(loop, more)
             if reason:
                 stop["reason"] = reason
                 break
@@ -88,7 +89,7 @@ class SelfImprovingLoop:
             run_baseline(
                 kind,
                 make,
-                self.parts.all_sequences if kind == self.settings.first_teacher else tested,
+                tested,
                 self.settings,
                 self.store,
                 self.monitor,
@@ -149,16 +150,13 @@ class SelfImprovingLoop:
                 "back, or start a new run."
             )
 
-    def _refine(self, loop: int) -> tuple[dict[str, Any] | None, str]:
+    def _refine(self, loop: int, more: dict[str, Any]) -> tuple[dict[str, Any] | None, str]:
         """Refine the network on SLAM's output of this loop; return the figures and why to stop, "" to go on."""
         weights = self.store.loop(loop, "weights")
-
-        def work() -> dict[str, Any] | None:
-            supervised = [(sequence, self._teacher(loop, sequence)) for sequence in self.parts.sequences]
-            return refine_in_run(self.parts, supervised, loop)
-
+        lesson = prepare(self.parts, loop, self._evidence[loop])
+        self._note(lesson, loop, more)
         resumed = self.store.is_done(step_name(loop, "refine"))
-        training = self.store.step(step_name(loop, "refine"), work)
+        training = self.store.step(step_name(loop, "refine"), lambda: refine_in_run(self.parts, lesson, loop))
         if training is None:
             return None, "No keyframe of SLAM had neighbours on both sides, so there was nothing to learn from."
         before, after = training["held_out_before"], training["held_out_after"]
@@ -169,13 +167,19 @@ class SelfImprovingLoop:
             self.estimator.load_weights(weights)
         return training, reason
 
-    def _teacher(self, loop: int, sequence: Sequence) -> SlamResult:
-        """What the network learns from: SLAM's result of this loop, or at first that on the images alone."""
-        if loop > 0 or self.settings.first_teacher == "pseudo_rgbd":
-            return self.parts.result(loop, sequence)
-        pose = localise("mono", self.parts.make_slam, sequence, self.settings, self.store, self.monitor)
-        self.monitor.say("  teacher, the images alone: " + describe_pose(sequence.name, pose))
-        return baseline_result("mono", sequence, self.store)
+    def _note(self, lesson: Lesson, loop: int, more: dict[str, Any]) -> None:
+        """Tell what was chosen, and put it into the summary, with the row of SLAM on the images alone if that ran."""
+        for sentence in sentences(lesson.choices):
+            self.monitor.say(f"  {sentence}")
+        if lesson.choices:
+            more.setdefault("recipe", []).append(plain(loop, lesson.choices))
+        if lesson.baseline is not None:
+            rows = more.setdefault("baselines", [])
+            same = next((row for row in rows if row["folder"] == lesson.baseline["folder"]), None)
+            if same is None:
+                rows.append(lesson.baseline)
+            else:
+                same["pose"] = {**same["pose"], **lesson.baseline["pose"]}
 
     def _keep_best(self, loop: int) -> None:
         """Go back to the network that SLAM ran with in the best loop, and keep it."""

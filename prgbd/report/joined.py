@@ -11,7 +11,7 @@ import pandas as pd
 from prgbd.report.table import Cell, Spread, Table
 from prgbd.report.words import number
 
-REFERENCE = "loss=all"
+REFERENCES = {"loss=all", "loss=paper"}
 _SAME = "0"
 
 
@@ -70,7 +70,7 @@ def means_over_recordings(table: Table) -> Table | None:
 
 
 def paired_differences(table: Table) -> Table | None:
-    """Return how far the other rows are from the first, or from ``loss=all``, on each recording that both have.
+    """Return how far the other rows are from the first, or one of ``REFERENCES``, on each recording that both have.
 
     Recordings differ more from each other than rows do, so the difference of two means says little. The mean of the
     differences, with its standard error, and the number of recordings on which a row is worse say whether it is one:
@@ -84,7 +84,7 @@ def paired_differences(table: Table) -> Table | None:
     if groups is None:
         return None
     labels = list(dict.fromkeys(groups.index.get_level_values(0)))
-    reference = next((label for label in labels if REFERENCE in label.split(", ")), labels[0])
+    reference = next((label for label in labels if REFERENCES & set(label.split(", "))), labels[0])
     figures = groups[[title for title in groups if title in table.best]].apply(pd.to_numeric, errors="coerce")
     base, rows = figures.loc[reference], []
     for label in labels:

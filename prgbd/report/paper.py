@@ -13,10 +13,10 @@ from prgbd.report.depth_metrics import TITLES
 
 # KITTI Eigen after the first loop: (Sq Rel, RMSE), by the name of the loss configuration.
 ABLATION: dict[str, tuple[float, float]] = {
-    "no_depth_consistency": (0.958, 4.956),
-    "no_depth_transfer": (0.955, 4.867),
-    "no_photometric": (0.942, 4.855),
-    "all": (0.931, 4.809),
+    "paper_no_depth_consistency": (0.958, 4.956),
+    "paper_no_depth_transfer": (0.955, 4.867),
+    "paper_no_photometric": (0.942, 4.855),
+    "paper": (0.931, 4.809),
 }
 
 

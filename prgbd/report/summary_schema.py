@@ -87,6 +87,7 @@ SUMMARY = {
     "loops": [_LOOP],
     "baselines": [_LOOP],
     "failed_sequences": {OTHER: _text},
+    "recipe": [{"loop": _number, "choices": [{"value": _scalar, OTHER: _text}], "sentences": [_text]}],
     "stop": {"reason": _text, "best_loop": _number},
     "versions": {OTHER: _text},
 }

@@ -142,7 +142,7 @@ def describe(summary: dict[str, Any]) -> list[str]:
         sentences += _better_loop(loops, judged_sequences(summary))
     if pose is None:
         sentences += _missing_pose(loops)
-    sentences += _doubts(loops) + _depth_error(loops[-1]) + _stop(summary)
+    sentences += _recipe(summary) + _doubts(loops) + _depth_error(loops[-1]) + _stop(summary)
     return [*failed, *sentences] or ["The depth was predicted; there is no ground truth to measure it against."]
 
 
@@ -275,6 +275,18 @@ def _missing_pose(loops: list[dict[str, Any]]) -> list[str]:
             if figures.get("ate_rmse") is None and figures.get("reason"):
                 reasons.setdefault(figures["reason"], f"{loop_name(loop)}, {name}")
     return [f"No pose error ({where}): {reason}" for reason, where in reasons.items()]
+
+
+def _recipe(summary: dict[str, Any]) -> list[str]:
+    """Say who taught the network first, how it learnt, and what speaks for the loop that is kept; needs no labels."""
+    recipe, kept = summary.get("recipe") or [], kept_loops(summary)
+    if not recipe:
+        return []
+    index = (kept[-1].get("criterion") or {}).get("index") if len(kept) > 1 else None
+    because = (
+        "" if index is None else f", for SLAM's evidence, free of labels, is {number(index)} of what it was"
+    )
+    return [*(recipe[0].get("sentences") or []), f"Kept: {loop_name(kept[-1])}{because}."]
 
 
 def _stop(summary: dict[str, Any]) -> list[str]:

@@ -17,6 +17,7 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
+from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.utilities.seed import isolate_rng
 
 from prgbd.core.data import Sequence
@@ -25,8 +26,10 @@ from prgbd.core.errors import SlamError
 from prgbd.core.types import SlamResult
 from prgbd.functional.sparse_losses import sample_patches
 from prgbd.training.batch_statistics import measure_batch_statistics
+from prgbd.training.budget import Budget
 from prgbd.training.checkpoints import Handover, StepCheckpoint, tensors_by_name
 from prgbd.training.images import image_folder
+from prgbd.training.learning_plan import LearningPlan, learning_plan
 from prgbd.training.quiet import quiet_lightning
 from prgbd.training.refinement_data import (
     RefinementData,
@@ -37,6 +40,7 @@ from prgbd.training.refinement_data import (
 from prgbd.training.refinement_module import DepthRefinement, LossRows
 from prgbd.training.refinement_settings import RefinementSettings
 from prgbd.training.supervision import Supervision, keyframe_samples
+from prgbd.training.timed_steps import TimedSteps
 from prgbd.training.trainers import TrainerFactory
 
 _SCALE_SAMPLES = 16
@@ -58,6 +62,7 @@ class RefinementOutcome:
         skipped: Why the others gave none, reason -> number.
         points_per_sample: Mean number of points that a sample's three keyframes share.
         scales: Factor on SLAM's lengths per sequence, that of its largest map; 1 where the scale was left alone.
+        steps: Steps of the optimiser.
         seconds: Duration.
     """
 
@@ -71,6 +76,7 @@ class RefinementOutcome:
     skipped: dict[str, int]
     points_per_sample: float
     scales: dict[str, float] = field(default_factory=dict)
+    steps: int = 0
     seconds: float = 0.0
 
 
@@ -80,6 +86,7 @@ def refine(
     settings: RefinementSettings,
     out: Path,
     trainer: TrainerFactory | None = None,
+    budget: Budget | None = None,
 ) -> RefinementOutcome:
     """Fine-tune a depth network on what SLAM found out about one or several sequences.
 
@@ -94,6 +101,7 @@ def refine(
         out: Folder for images that do not fit into memory, and for the checkpoint that a killed refinement goes on
             from.
         trainer: The Lightning configuration (accelerator, devices, precision, callbacks, ...).
+        budget: When the training ends, where ``settings.epochs`` is "auto"; None: by the number of keyframes.
 
     Returns:
         Losses, the label-free criterion before and after, and what became of the keyframes.
@@ -106,13 +114,15 @@ def refine(
     began = time.perf_counter()
     supervisions = [_supervision(result, settings) for _, result in supervised]
     _require_samples(supervised, supervisions)
+    plan = learning_plan(settings, sum(len(s.samples) for s in supervisions), budget)
+    settings = plan.settings
     out.mkdir(parents=True, exist_ok=True)
     was_training = estimator.training
     with _decoded(estimator, supervised, supervisions, settings, out) as sources, quiet_lightning(), isolate_rng():
         lightning.seed_everything(settings.seed, workers=True, verbose=False)
         data = RefinementData(sources, settings)
-        key = _key(estimator, settings, sources)
-        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer or TrainerFactory(), key)
+        key = _key(estimator, plan, sources)
+        rows = _fit(DepthRefinement(estimator, settings), data, out, trainer or TrainerFactory(), plan.budget, key)
     estimator.train(was_training)
     held_out = [row for row in rows if row["split"] == "held_out"]
     return RefinementOutcome(
@@ -126,6 +136,7 @@ def refine(
         skipped=dict(sum((Counter(s.skipped) for s in supervisions), Counter())),
         points_per_sample=float(np.mean([len(x.point) for s in supervisions for x in s.samples])),
         scales=_scales(sources),
+        steps=max(row["step"] for row in rows),
         seconds=time.perf_counter() - began,
     )
 
@@ -136,15 +147,20 @@ def _scales(sources: list[SupervisedImages]) -> dict[str, float]:
 
 
 def _fit(
-    module: DepthRefinement, data: RefinementData, out: Path, factory: TrainerFactory, key: str
+    module: DepthRefinement, data: RefinementData, out: Path, factory: TrainerFactory, budget: Budget | None, key: str
 ) -> list[dict[str, Any]]:
     """Measure the criterion, train, measure it again; return the rows of losses."""
     settings, rows = module.settings, LossRows()
     checkpoint = StepCheckpoint(out / "checkpoint", settings.checkpoint_minutes, epochs=settings.checkpoint, key=key)
     handover = Handover(out, rows)
-    defaults = {"max_epochs": settings.epochs, "log_every_n_steps": 1}
+    ends: dict[str, Any] = {"max_epochs": settings.epochs}
+    timed: list[Callback] = []
+    if budget is not None:
+        ends = {"max_epochs": -1, "max_steps": budget.steps or -1}
+        timed = [TimedSteps(budget.seconds, out, key)] if budget.seconds else []
+    defaults = {**ends, "log_every_n_steps": 1}
     trainer, gauge = factory.pair(
-        out, defaults, [rows, checkpoint, handover], measuring=[rows], compiled=settings.compile
+        out, defaults, [rows, *timed, checkpoint, handover], measuring=[rows], compiled=settings.compile
     )
     resumed = checkpoint.resumable()
     if resumed is None:
@@ -174,15 +190,15 @@ def _measure_statistics(module: DepthRefinement, data: RefinementData, trainer: 
         module.to(home)
 
 
-def _key(estimator: DepthEstimator, settings: RefinementSettings, sources: Many[SupervisedImages]) -> str:
+def _key(estimator: DepthEstimator, plan: LearningPlan, sources: Many[SupervisedImages]) -> str:
     """Say in one word what a refinement starts from: weights, supervision and the options that decide the result."""
     digest = hashlib.sha256(weights_fingerprint(estimator).encode())
     for source in sources:
         digest.update(f"{source.name} {source.scale!r} {len(source.supervision.samples)}".encode())
         for sample in source.supervision.samples:
             digest.update(sample.frames.tobytes() + sample.aTc.tobytes() + sample.depth.tobytes())
-    neutral = replace(settings, checkpoint=False, checkpoint_minutes=0.0, workers=0, memory_mb=0)
-    digest.update(repr(neutral).encode())
+    neutral = replace(plan.settings, checkpoint=False, checkpoint_minutes=0.0, workers=0, memory_mb=0)
+    digest.update(repr((neutral, plan.budget)).encode())
     return digest.hexdigest()
 
 

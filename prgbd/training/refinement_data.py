@@ -186,7 +186,7 @@ class RefinementData(ResumableData):
         Every batch is spread over the recordings, as shuffled ones are: neighbours vary less than they do.
         """
         chosen = self._train.chosen
-        batches = max(1, len(chosen) // (_IMAGES_PER_SAMPLE * self._settings.batch_size))
+        batches = max(1, len(chosen) // (_IMAGES_PER_SAMPLE * self._settings.samples_per_step))
         for first in range(batches):
             images = [self._train.sources[s].keyframe(i) for s, i in chosen[first::batches]]
             yield torch.from_numpy(np.stack(images)).float() / 255
@@ -195,7 +195,7 @@ class RefinementData(ResumableData):
         workers = self._settings.workers
         return DataLoader(
             samples,
-            batch_size=self._settings.batch_size,
+            batch_size=self._settings.samples_per_step,
             sampler=sampler,
             collate_fn=collate,
             # Without one, making an iterator draws from the global generator.
@@ -207,7 +207,7 @@ class RefinementData(ResumableData):
     def train_dataloader(self) -> DataLoader[RefinementBatch]:
         """Shuffled by the seed, in every epoch otherwise."""
         settings = self._settings
-        return self._loader(self._train, self.sampler(len(self._train), settings.seed, settings.batch_size))
+        return self._loader(self._train, self.sampler(len(self._train), settings.seed, settings.samples_per_step))
 
     def val_dataloader(self) -> DataLoader[RefinementBatch]:
         """The held-out keyframes in order, all of them in every process."""

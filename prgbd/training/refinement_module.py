@@ -111,7 +111,7 @@ class DepthRefinement(lightning.LightningModule):
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """Adam, as in pre-training."""
-        return adam(self, self.estimator.parameters(), self.settings.learning_rate)
+        return adam(self, self.estimator.parameters(), self.settings.step_size)
 
 
 class LossRows(Callback):

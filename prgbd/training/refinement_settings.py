@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from prgbd.core.option_ranges import Count, CountOrZero, NotNegative, Positive, Range, Seed
 from prgbd.core.options import check_types
 from prgbd.training.objective import METHOD, Nodes, loss_weights, make_augmentations, make_terms
 
+Auto = Literal["auto"]
+AUTO: Final = "auto"
+
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Options of depth refinement; the defaults are the paper's but for ``augment`` and ``far_points``.
+    """Options of depth refinement; "auto" becomes a number by what is found, see ``learning_plan``.
+
+    The defaults are those that served every recording that was tried; ``experiment=paper`` has the paper's.
 
     Attributes:
         loss: Loss terms, name -> options, see ``objective``; a term of weight 0 is not computed.
         augmentation: Augmentations, name -> options, likewise.
-        learning_rate: Of Adam.
-        epochs: Passes over the keyframes.
-        batch_size: Keyframes per step (pre-training's 12); three images per keyframe pass through the network.
+        learning_rate: Of Adam, or "auto": by how well the network knows the scene (the paper: 1e-6).
+        epochs: Passes over the keyframes (the paper: 1), or "auto": as many as ``task.budget`` allows.
+        batch_size: Keyframes per step; three images per keyframe pass through the network. "auto": 4, as a recording
+            gives a hundred keyframes or so, and 12 (pre-training's, and the paper's) of thousands.
         augment: Mirror half of the samples and jitter the colours of half of them, as in pre-training (the paper),
             besides what ``augmentation`` names. Off, because few keyframes and epochs are better spent unaugmented:
             docs/method.md has the figures.
@@ -37,12 +43,12 @@ class RefinementSettings:
         min_keyframes: Outlier removal: fewest keyframes that must observe a point.
         max_reprojection_error: Outlier removal: pixels.
         keyframe_gap: How many keyframes away the neighbouring keyframes are.
-        frame_gap: How many frames away the temporally adjacent frames are (the paper: 1); 0 measures how many it takes
-            to see the scene from another place, see ``supervision.measured_gap``.
+        frame_gap: How many frames away the temporally adjacent frames are (the paper: 1); 0 measures for every
+            recording how many it takes to see the scene from another place, see ``supervision.measured_gap``.
         min_common_points: Points that a neighbouring keyframe should share with the current one.
         consistency_points: ``common`` (the paper) or ``all``, which points depth consistency compares; see
             ``supervision.keyframe_samples``.
-        min_parallax: Degrees under which SLAM must have seen a point; 0 leaves it to ``far_points``. See
+        min_parallax: Degrees under which SLAM must have seen a point; 0 (the paper) leaves it to ``far_points``. See
             ``supervision.keyframe_samples``.
         far_points: What becomes of points beyond the largest depth that the network predicted: ``drop``, or ``keep``
             (the paper), which makes the next trajectory worse: docs/method.md has the figures.
@@ -59,12 +65,12 @@ class RefinementSettings:
 
     loss: Nodes = field(default_factory=lambda: dict(METHOD))
     augmentation: Nodes = field(default_factory=dict)
-    learning_rate: Positive = 1e-6
-    epochs: Count = 1
-    batch_size: Count = 12
-    augment: bool = False
+    learning_rate: Positive | Auto = AUTO
+    epochs: Count | Auto = AUTO
+    batch_size: Count | Auto = AUTO
+    augment: bool = True
     freeze_batchnorm: bool = False
-    measure_batchnorm: bool = False
+    measure_batchnorm: bool = True
     workers: CountOrZero = 0
     seed: Seed = 0
     val_fraction: Annotated[float, Range(0, 0.5)] = 0.1
@@ -72,10 +78,10 @@ class RefinementSettings:
     min_keyframes: Count = 3
     max_reprojection_error: Positive = 3.0
     keyframe_gap: Count = 1
-    frame_gap: CountOrZero = 1
+    frame_gap: CountOrZero = 0
     min_common_points: CountOrZero = 20
-    consistency_points: Literal["common", "all"] = "common"
-    min_parallax: Annotated[float, Range(0, 90, without=90)] = 0.0
+    consistency_points: Literal["common", "all"] = "all"
+    min_parallax: Annotated[float, Range(0, 90, without=90)] = 2.0
     far_points: Literal["drop", "keep"] = "drop"
     memory_mb: CountOrZero = 1024
     channels_last: bool = True
@@ -94,6 +100,18 @@ class RefinementSettings:
         """
         make_terms(self.loss)
         make_augmentations(self.augmentation, self.augment)
+
+    @property
+    def step_size(self) -> float:
+        """The learning rate, once it is a number."""
+        assert self.learning_rate != AUTO
+        return self.learning_rate
+
+    @property
+    def samples_per_step(self) -> int:
+        """The batch size, once it is a number."""
+        assert self.batch_size != AUTO
+        return self.batch_size
 
     @property
     def weights(self) -> dict[str, float]:

@@ -16,26 +16,31 @@ def experiment(*arguments):
 
 
 @pytest.mark.parametrize("name", ["kitti_eigen", "kitti_odometry", "tum", "ablation"])
-def test_an_experiment_passes_the_checks_with_the_paper_s_losses(name):
-    config = experiment(f"experiment={name}", "data.root=somewhere")
+def test_an_experiment_of_the_paper_is_its_literal_method(name):
+    config = experiment(f"experiment=paper/{name}", "data.root=somewhere")
     read_options(config)
-    assert config["training"]["learning_rate"] == 1e-6
-    assert config["training"]["epochs"] == 1
+    literal = experiment("experiment=paper")
+    for group in ("training", "loss", "slam", "sensing"):
+        assert config[group] == literal[group]
+    assert (config["training"]["learning_rate"], config["training"]["epochs"]) == (1e-6, 1)
     assert list(loss_weights(config["loss"]).values()) == [1, 1e-3, 1, 1]
+    assert {term.get("residual", "absolute") for term in config["loss"].values()} == {"absolute"}
+    assert config["slam"]["depth"]["follow"] is False
+    assert config["slam"]["optimisation"]["focal_length_sigma"] == 0
     assert config["task"]["max_loops"] == {"tum": 3, "ablation": 1}.get(name, 5)
-    header = (Path(__file__).parents[2] / f"conf/experiment/{name}.yaml").read_text()
-    assert f"experiment={name}" in header
+    header = (Path(__file__).parents[2] / f"conf/experiment/paper/{name}.yaml").read_text()
+    assert f"experiment=paper/{name}" in header
 
 
 def test_training_and_test_recordings_of_the_paper_are_apart():
     for name, training, test in (("kitti_odometry", 9, 2), ("tum", 6, 2)):
-        data = experiment(f"experiment={name}", "data.root=x")["data"]
+        data = experiment(f"experiment=paper/{name}", "data.root=x")["data"]
         assert (len(data["sequences"]), len(data["test_sequences"])) == (training, test)
         assert not set(data["sequences"]) & set(data["test_sequences"])
 
 
 def test_the_eigen_experiment_evaluates_with_the_same_protocol():
-    config = experiment("experiment=kitti_eigen", "task=evaluate", "data.root=x", "data.split=test_files.txt")
+    config = experiment("experiment=paper/kitti_eigen", "task=evaluate", "data.root=x", "data.split=test_files.txt")
     protocol = read_options(config).evaluation
     assert protocol == EvaluationSettings(depth_images=None, depth_cap=80.0, depth_crop="garg")
     assert protocol.chosen_caps == (30, 40, 50, 60, 70, 80)
@@ -97,7 +102,7 @@ def test_monocular_slam_may_be_the_first_teacher(run):
 def test_the_first_teacher_learns_nothing_from_test_recordings(run, tmp_path):
     summary = run(
         *("data.root=.", "data.sequences=['00']", "data.test_sequences=['10']"),
-        *("task.max_loops=1", "task.first_teacher=mono"),
+        *("task.max_loops=1", "task.first_teacher=mono", "task.baselines=[mono]"),
     )
     (mono,) = summary["baselines"]
     assert set(mono["pose"]) == {"00", "10"}  # the one teaches, the other is compared with

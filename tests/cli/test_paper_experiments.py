@@ -68,7 +68,13 @@ def test_kitti_odometry_with_all_rows_of_the_pose_table(cli, tmp_path, street):
         network.pose_network().decoder.net[3].bias += torch.linspace(0.5, 1.5, 12)
     network.save_weights(tmp_path / "weights")
     answer = cli(
-        *("experiment=kitti_odometry", f"data.root={root}", f"depth.weights={tmp_path / 'weights'}", "out=run", *SMALL),
+        *(
+            "experiment=paper/kitti_odometry",
+            f"data.root={root}",
+            f"depth.weights={tmp_path / 'weights'}",
+            "out=run",
+            *SMALL,
+        ),
         *("data.sequences=[00]", "data.test_sequences=[09]"),
         *("task.max_loops=1", "task.min_improvement=null", "task.baselines=[mono,posenet]"),
     )
@@ -89,7 +95,7 @@ def test_kitti_odometry_with_all_rows_of_the_pose_table(cli, tmp_path, street):
 
 
 def test_kitti_eigen_is_refined_on_drives_and_evaluated_on_test_images(cli, kitti_raw):
-    common = ("experiment=kitti_eigen", f"data.root={kitti_raw / 'data'}", *SMALL)
+    common = ("experiment=paper/kitti_eigen", f"data.root={kitti_raw / 'data'}", *SMALL)
     loop = ("task.max_loops=1", "task.min_improvement=null", "out=refined")
     images = f"evaluation.depth_test={{split: {kitti_raw / 'test_files.txt'}}}"
     answer = cli(*common, f"data.split={kitti_raw / 'train_files.txt'}", images, *loop)
@@ -120,7 +126,7 @@ def test_tum(cli, tmp_path):
     teddy, walking = f"{prefix}teddy", f"{prefix}walking_xyz"
     root = layouts.write_tum(tmp_path / "tum", rendered, [teddy, walking])
     answer = cli(
-        *("experiment=tum", f"data.root={root}", f"data.sequences=[{teddy}]", f"data.test_sequences=[{walking}]"),
+        *("experiment=paper/tum", f"data.root={root}", f"data.sequences=[{teddy}]", f"data.test_sequences=[{walking}]"),
         *("task.max_loops=1", "task.min_improvement=null", "data.stop=4", "out=run", *TINY),
     )
     assert answer.code == 0, answer.err
@@ -135,14 +141,17 @@ def test_tum(cli, tmp_path):
 
 def test_ablation_puts_the_paper_s_figures_beside_each_row(cli, kitti_raw):
     answer = cli(
-        *("-m", "experiment=ablation", "loss=no_photometric,all", f"data.root={kitti_raw / 'data'}"),
+        *("-m", "experiment=paper/ablation", "loss=paper_no_photometric,paper", f"data.root={kitti_raw / 'data'}"),
         *(f"data.split={kitti_raw / 'train_files.txt'}", "out=ablation", *TINY),
     )
     assert answer.code == 0, answer.err
     with open("ablation/ablation.csv", newline="") as file:
         rows = {row["run"]: row for row in csv.DictReader(file)}
-    assert list(rows) == ["loss=no_photometric", "loss=all"]
-    assert (rows["loss=all"]["Sq Rel (paper)"], rows["loss=no_photometric"]["RMSE (paper)"]) == ("0.931", "4.855")
+    assert list(rows) == ["loss=paper_no_photometric", "loss=paper"]
+    assert (rows["loss=paper"]["Sq Rel (paper)"], rows["loss=paper_no_photometric"]["RMSE (paper)"]) == (
+        "0.931",
+        "4.855",
+    )
     assert all(float(row["Sq Rel"]) > 0 and row["loops"] == "1" for row in rows.values())
     for suffix in ("md", "tex"):
         assert "0.931" in Path(f"ablation/ablation.{suffix}").read_text()

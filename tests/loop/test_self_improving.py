@@ -103,11 +103,12 @@ def test_depth_figures_count_images_with_truth(tmp_path):
 @pytest.mark.parametrize(
     ("sigma", "options", "warned"),
     [
-        (0.46, {}, True),
-        (0.19, {}, False),
-        (None, {}, False),
+        (0.46, {"first_teacher": "pseudo_rgbd"}, True),
+        (0.19, {"first_teacher": "pseudo_rgbd"}, False),
+        (None, {"first_teacher": "pseudo_rgbd"}, False),
         (0.46, {"first_teacher": "mono"}, False),
-        (0.46, {"max_loops": 0}, False),
+        (0.46, {}, False),
+        (0.46, {"first_teacher": "pseudo_rgbd", "max_loops": 0}, False),
     ],
 )
 def test_a_network_that_does_not_know_the_scene_is_pointed_out(sigma, options, warned):
@@ -126,7 +127,7 @@ def test_a_network_that_does_not_know_the_scene_is_pointed_out(sigma, options, w
     assert bool(heard.said) == warned
     if warned:
         assert "wall is wrong by 46%" in heard.said[0]
-        assert "experiment=adapt" in heard.said[0]
+        assert "task.first_teacher=mono" in heard.said[0]
 
 
 class Listener(SilentMonitor):

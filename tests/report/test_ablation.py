@@ -22,7 +22,7 @@ def override(run, *items):
 @pytest.fixture(scope="module")
 def multirun(tmp_path_factory):
     folder = tmp_path_factory.mktemp("multirun")
-    losses = {"all": 0.15, "no_depth_consistency": 0.2, "no_photometric": 0.25}
+    losses = {"paper": 0.15, "paper_no_depth_consistency": 0.2, "paper_no_photometric": 0.25}
     for number, (loss, error) in enumerate(losses.items()):
         run = make_run(folder / str(number), depth_errors=(0.35, error))
         override(run, "+slam=orb_gtsam", f"loss={loss}", "data.frames=20")
@@ -32,7 +32,7 @@ def multirun(tmp_path_factory):
 def test_one_row_per_run_labelled_by_what_varied(multirun):
     table = ablation_tables(multirun)[0]
     rows = table.rows
-    assert [r["run"] for r in rows] == ["loss=all", "loss=no_depth_consistency", "loss=no_photometric"]
+    assert [r["run"] for r in rows] == ["loss=paper", "loss=paper_no_depth_consistency", "loss=paper_no_photometric"]
     for number, row in enumerate(rows):
         loops = read_json(multirun / str(number) / "summary.json")["loops"]
         assert row["Abs Rel"] == loops[-1]["depth"]["abs_rel"]
@@ -52,8 +52,8 @@ def test_the_files_hold_the_same_table(multirun, capsys):
     paths = join(multirun)
     assert [p.name for p in paths] == ["ablation.md", "ablation.csv", "ablation.tex"]
     markdown, table, latex = (p.read_text() for p in paths)
-    assert "loss=no_depth_consistency" in markdown
-    assert r"loss=no\_depth\_consistency" in latex
+    assert "loss=paper_no_depth_consistency" in markdown
+    assert r"loss=paper\_no\_depth\_consistency" in latex
     rows = list(csv.DictReader(table.splitlines()))
     assert len(rows) == 3
     assert float(rows[0]["RMSE"]) == read_json(multirun / "0/summary.json")["loops"][-1]["depth"]["rmse"]

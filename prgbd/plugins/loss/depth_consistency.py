@@ -12,16 +12,16 @@ from prgbd.functional.sparse_losses import Residual, depth_consistency
 class DepthConsistency(LossTerm):
     """The method's depth consistency, see ``prgbd.functional.sparse_losses.depth_consistency``.
 
-    It is in the network's own unit of depth unless ``residual`` is ``log``. A network that was pre-trained without
-    scale has a median depth near 1, and the term is about as large as the photometric one; for a metric network it is
-    tens of times larger, so give it a weight of a few hundredths there.
+    Logarithms have no unit. With ``residual=absolute`` it is in the network's own unit of depth: a network that was
+    pre-trained without scale has a median depth near 1, and the term is about as large as the photometric one; for a
+    metric network it is tens of times larger, so give it a weight of a few hundredths there.
 
     Args:
         weight: Gamma of the method.
-        residual: ``absolute`` (the paper) or ``log``, how depths are compared; see ``sparse_losses.difference``.
+        residual: ``log`` or ``absolute`` (the paper), how depths are compared; see ``sparse_losses.difference``.
     """
 
-    def __init__(self, weight: NotNegative = 1.0, residual: Residual = "absolute") -> None:
+    def __init__(self, weight: NotNegative = 1.0, residual: Residual = "log") -> None:
         super().__init__(weight)
         self.residual = residual
 

@@ -17,16 +17,16 @@ from prgbd.functional.warping import invert_rigid
 class DepthTransfer(LossTerm):
     """The method's symmetric depth transfer ``T_{c,k1} + T_{c,k2} + T_{k1,k2}``, see ``sparse_losses.depth_transfer``.
 
-    It is in the network's own unit of depth unless ``residual`` is ``log``, as ``depth_consistency`` is.
+    It is in the network's own unit of depth where ``residual`` is ``absolute``, as ``depth_consistency`` is.
 
     Args:
-        weight: Mu of the method.
+        weight: Mu of the method (the paper: 1, which held back what the other terms gained).
         patch: Odd side of the patch around a keypoint that is compared, pixels of the network's depth.
         matching: ``projected`` or ``offset``, which pixels of two patches are compared.
         reduction: ``mean`` or ``sum`` over points and patch pixels. ``average`` is the mean over the three pairs of
             keyframes and both directions as well, so that the term weighs as much as depth consistency and not six
             times as much.
-        residual: ``absolute`` (the paper) or ``log``, how depths are compared; see ``sparse_losses.difference``.
+        residual: ``log`` or ``absolute`` (the paper), how depths are compared; see ``sparse_losses.difference``.
         anchored: Move patches whose middle has SLAM's depth instead of the predicted one.
 
     Raises:
@@ -38,11 +38,11 @@ class DepthTransfer(LossTerm):
 
     def __init__(
         self,
-        weight: NotNegative = 1.0,
+        weight: NotNegative = 0.1,
         patch: Annotated[int, Range(1, 101)] = 5,
         matching: Matching = "projected",
         reduction: Reduction = "mean",
-        residual: Residual = "absolute",
+        residual: Residual = "log",
         anchored: bool = False,
     ) -> None:
         super().__init__(weight)
