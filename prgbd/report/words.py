@@ -283,9 +283,7 @@ def _recipe(summary: dict[str, Any]) -> list[str]:
     if not recipe:
         return []
     index = (kept[-1].get("criterion") or {}).get("index") if len(kept) > 1 else None
-    because = (
-        "" if index is None else f", for SLAM's evidence, free of labels, is {number(index)} of what it was"
-    )
+    because = "" if index is None else f", for SLAM's evidence, free of labels, is {number(index)} of what it was"
     return [*(recipe[0].get("sentences") or []), f"Kept: {loop_name(kept[-1])}{because}."]
 
 

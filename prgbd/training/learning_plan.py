@@ -68,8 +68,8 @@ def learning_plan(
     if rate == AUTO:
         strange = is_strange(disagreement)
         rate = STRANGE_RATE if strange else KNOWN_RATE
-        who = "does not know the scene and has little to lose" if strange else "knows the scene"
-        err = "" if disagreement is None else f" (it differs from triangulated depth by {disagreement:.0%})"
+        who = "does not know the scene" if strange else "knows the scene"
+        err = "" if disagreement is None else f": {disagreement:.0%} off triangulated depth"
         choices.append(Choice("training.learning_rate", rate, f"the network {who}{err}"))
     if settings.batch_size == AUTO:
         many = keyframes >= LARGE_BATCH * MOST_STEPS
