@@ -123,7 +123,7 @@ def test_what_may_be_said_beside_resume(run, cli, monkeypatch):
     run("task.max_loops=1", "seed=4")
     repeated = cli(*FAKES, "task.max_loops=1", "seed=4", "resume=run", "debug=true")
     assert repeated.code == 0, repeated.err
-    defaults = cli("resume=run", "trainer=cpu", "task=self_improve", "training.epochs=1")
+    defaults = cli("resume=run", "trainer=cpu", "task=self_improve", "training.epochs=auto")
     assert defaults.code == 0, defaults.err
     for contradiction in ("seed=5", "depth=test/nan", "task.max_loops=2", "training.epochs=2", "trainer=auto"):
         answer = cli("resume=run", contradiction)

@@ -30,7 +30,7 @@ def files(folder: Path) -> set[str]:
 
 
 def test_the_loop_leaves_the_whole_folder(run, real_report):
-    summary = run("task.max_loops=2", "seed=3")
+    summary = run("task.max_loops=2", "seed=3", "training.epochs=1", "task.criterion=held_out")
     assert {"config.yaml", "summary.json", "metrics.csv", "run.log", "report.html", "truth/wall.tum"} <= files(
         Path("run")
     )
@@ -97,7 +97,7 @@ def test_a_loop_that_slam_calls_worse_is_rolled_back(run, monkeypatch, real_repo
 def test_no_improvement_stops_and_goes_back_to_the_better_weights(run):
     import torch
 
-    summary = run("task.min_improvement=0.999")
+    summary = run("task.min_improvement=0.999", "task.criterion=held_out")
     assert [loop["loop"] for loop in summary["loops"]] == [0]
     assert summary["stop"]["best_loop"] == 0
     assert "No improvement" in summary["stop"]["reason"]
