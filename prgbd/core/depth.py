@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from prgbd.core.data import Sequence
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import WeightsError
 from prgbd.core.option_errors import shown
 from prgbd.core.option_ranges import LARGEST_SIDE
@@ -33,15 +34,32 @@ class DepthEstimator(nn.Module, ABC):
     Attributes:
         input_size: (height, width) of the images that ``forward`` works best on, pixels.
         depth_range: (nearest, farthest) depth that the network can express.
-        metric: True if depth is in metres, False if it is up to an unknown scale.
+        depth_kind: What depth is: in metres, up to a scale, or with an inverse that lacks a shift as well. A subclass
+            that says ``metric = True`` declares metres, too.
         only_finest: True within ``finest_scale``; ``forward`` may then return the finest depth alone.
     """
 
     input_size: tuple[int, int]
     depth_range: tuple[float, float]
-    metric: bool = False
+    depth_kind: DepthKind = DepthKind.SCALE
     only_finest: bool = False
     weights_file: str = "model.pth"
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Take ``metric = True`` or ``False`` in the body of a subclass for the declaration that it is."""
+        super().__init_subclass__(**kwargs)
+        if isinstance(cls.__dict__.get("metric"), bool):
+            cls.depth_kind = DepthKind.METRIC if cls.__dict__["metric"] else DepthKind.SCALE
+            del cls.metric  # what is left is the property, which follows the declaration
+
+    @property
+    def metric(self) -> bool:
+        """Whether depth is in metres; setting it declares that, or depth up to scale."""
+        return self.depth_kind == DepthKind.METRIC
+
+    @metric.setter
+    def metric(self, value: bool) -> None:
+        self.depth_kind = DepthKind.METRIC if value else DepthKind.SCALE
 
     @abstractmethod
     def forward(self, images: Tensor) -> DepthPrediction:
@@ -52,7 +70,9 @@ class DepthEstimator(nn.Module, ABC):
 
         Returns:
             Depth maps finest first, each (B, 1, H_s, W_s), positive and differentiable; and, where the network knows
-            it, the standard deviation of the logarithm of the finest one.
+            it, the standard deviation of the logarithm of the finest one. Where ``depth_kind`` is ``affine_disparity``
+            depth is 1 / disparity, the disparity brought to positive numbers by any scale and shift; one of 0, as of
+            the sky, becomes the farthest depth.
         """
 
     @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,8 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ConfigError
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
+
+log = logging.getLogger(__name__)
 
 MODES = ("mono", "rgbd", "pseudo_rgbd", "stereo")
 
@@ -92,6 +96,18 @@ class GeometricSLAM(ABC):
     """
 
     modes: ClassVar[frozenset[str]] = frozenset()
+
+    def expect_depth(self, kind: DepthKind) -> None:
+        """Learn, before ``reset``, what the pseudo depth of the frames is; optional.
+
+        A system that does not override it takes inverse depth that lacks a shift as it is, and the log says so.
+        """
+        if kind == DepthKind.AFFINE_DISPARITY:
+            log.warning(
+                "%s takes depth as it is, but this network's inverse depth is only known up to scale and shift; "
+                "slam=orb_gtsam finds both.",
+                type(self).__name__,
+            )
 
     @abstractmethod
     def reset(

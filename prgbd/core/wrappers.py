@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
+import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,8 +22,9 @@ from torch import Tensor, nn
 
 from prgbd.core.data import Sequence as Recording
 from prgbd.core.depth import DepthEstimator
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ConfigError
-from prgbd.core.option_ranges import Count, Positive
+from prgbd.core.option_ranges import Count, CountOrZero, NotNegative, Positive
 from prgbd.core.options import checked_arguments
 from prgbd.core.types import DepthPrediction, Frame
 
@@ -53,9 +56,9 @@ class DepthWrapper(DepthEstimator):
         return self.estimator.depth_range
 
     @property
-    def metric(self) -> bool:  # type: ignore[override]
+    def depth_kind(self) -> DepthKind:  # type: ignore[override]
         """See ``DepthEstimator``."""
-        return self.estimator.metric
+        return self.estimator.depth_kind
 
     @property
     def unwrapped(self) -> DepthEstimator:
@@ -122,18 +125,19 @@ class Scaled(DepthWrapper):
     Args:
         estimator: The estimator to wrap.
         factor: What depth is multiplied by.
-        metric: Whether depth is in metres afterwards.
+        metric: Whether depth is in metres afterwards; no factor makes that of depth whose inverse lacks a shift.
     """
 
     def __init__(self, estimator: DepthEstimator, factor: Positive, metric: bool = True) -> None:
         super().__init__(estimator)
         self.factor = factor
-        self._metric = metric
+        self._scaled_kind = DepthKind.METRIC if metric else DepthKind.SCALE
 
     @property
-    def metric(self) -> bool:  # type: ignore[override]
-        """Whether depth is in metres afterwards."""
-        return self._metric
+    def depth_kind(self) -> DepthKind:  # type: ignore[override]
+        """What depth is afterwards."""
+        inner = self.estimator.depth_kind
+        return inner if inner == DepthKind.AFFINE_DISPARITY else self._scaled_kind
 
     @property
     def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
@@ -159,11 +163,15 @@ class MedianScaled(DepthWrapper):
         median: The median that every image gets, in units of depth.
     """
 
-    metric = False
-
     def __init__(self, estimator: DepthEstimator, median: Positive = 10.0) -> None:
         super().__init__(estimator)
         self.median = median
+
+    @property
+    def depth_kind(self) -> DepthKind:  # type: ignore[override]
+        """What depth is without its scale."""
+        inner = self.estimator.depth_kind
+        return inner if inner == DepthKind.AFFINE_DISPARITY else DepthKind.SCALE
 
     @property
     def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
@@ -222,6 +230,67 @@ class Clipped(DepthWrapper):
         return f"nearest={self.limits[0]:g}, farthest={self.limits[1]:g}"
 
 
+class AffineCorrupted(DepthWrapper):
+    """Scales and shifts each image's inverse depth at random, as the relative disparity of a network might be.
+
+    ``scale * max(inverse + shift * median, floor)``: what is shifted below the floor, a hundredth of the median, is as
+    far as the sky. The draw follows from the seed and the image, so that equal images are corrupted equally, whatever
+    the weights. It is for tests and studies of networks of the kind ``affine_disparity``.
+
+    Args:
+        estimator: The estimator to wrap.
+        scale_sigma: Standard deviation of the logarithm of the scale.
+        shift_sigma: Standard deviation of the shift, in medians of the image's inverse depth.
+        seed: Of the draws.
+    """
+
+    _FLOOR = 0.01
+
+    def __init__(
+        self,
+        estimator: DepthEstimator,
+        scale_sigma: NotNegative = 0.3,
+        shift_sigma: NotNegative = 0.3,
+        seed: CountOrZero = 0,
+    ) -> None:
+        super().__init__(estimator)
+        self.scale_sigma, self.shift_sigma, self.seed = scale_sigma, shift_sigma, seed
+
+    @property
+    def depth_kind(self) -> DepthKind:  # type: ignore[override]
+        """Inverse depth up to scale and shift."""
+        return DepthKind.AFFINE_DISPARITY
+
+    @property
+    def depth_range(self) -> tuple[float, float]:  # type: ignore[override]
+        """What comes out but for draws beyond four standard deviations."""
+        nearest, farthest = self.estimator.depth_range
+        reach = math.exp(4 * self.scale_sigma)
+        return nearest / (reach * (1 + 4 * self.shift_sigma)), farthest * reach / self._FLOOR
+
+    def forward(self, images: Tensor) -> DepthPrediction:
+        """See ``DepthEstimator.forward``."""
+        prediction = super().forward(images)
+        drawn = torch.stack([self._drawn(image) for image in images]).to(images.device)
+        median = (1 / prediction.depth.detach()).flatten(1).median(1).values[:, None, None, None]
+        scale, shift = (drawn[:, i, None, None, None].to(median.dtype) for i in range(2))
+        depths = tuple(
+            1 / (scale * (1 / d + shift * median).clamp(min=self._FLOOR * median)) for d in prediction.depths
+        )
+        sigma = None if prediction.sigma is None else prediction.sigma * scale * depths[0] / prediction.depth
+        return DepthPrediction(depths, sigma=sigma)
+
+    def _drawn(self, image: Tensor) -> Tensor:
+        """Return scale and shift of an image (C, H, W), (2,)."""
+        content = zlib.crc32(image.detach().float().cpu().contiguous().numpy().tobytes())
+        normal = np.random.default_rng([self.seed, content]).standard_normal(2)
+        return torch.tensor([math.exp(self.scale_sigma * normal[0]), self.shift_sigma * normal[1]])
+
+    def extra_repr(self) -> str:
+        """What sets it apart from another one."""
+        return f"scale_sigma={self.scale_sigma:g}, shift_sigma={self.shift_sigma:g}, seed={self.seed}"
+
+
 class Cached(DepthWrapper):
     """Remembers the last predictions of single images; changed weights and other images are predicted anew.
 
@@ -259,6 +328,7 @@ WRAPPERS: dict[str, Callable[..., DepthWrapper]] = {
     "scaled": Scaled,
     "median_scaled": MedianScaled,
     "clipped": Clipped,
+    "affine_corrupted": AffineCorrupted,
     "cached": Cached,
 }
 

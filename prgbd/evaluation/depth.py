@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ConfigError, ContractError
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def align_depth(
     cap: tuple[float, float] = DEFAULT_CAP,
     crop: str = "none",
     median_scaling: bool = True,
+    affine: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float] | None:
     """Select the pixels that count and bring the prediction to the truth's scale, as Monodepth2's evaluation does.
 
@@ -83,6 +85,8 @@ def align_depth(
         cap: (nearest, farthest) metres; truth outside is ignored, predictions are clamped to it.
         crop: ``none``, ``garg`` or ``eigen``.
         median_scaling: Whether to multiply the prediction by median(truth) / median(prediction).
+        affine: Instead, give the inverse of the prediction the scale and the shift that bring it nearest to the inverse
+            of the truth, by least squares, as MiDaS is evaluated (Ranftl et al., TPAMI 2022).
 
     Returns:
         ``(truth, prediction, ratio)``: the two as vectors, and the ratio of the medians whether it was applied or not.
@@ -106,9 +110,18 @@ def align_depth(
             "The predicted depth has values that are zero, negative, NaN or infinite; mend the network."
         )
     ratio = float(np.median(truth) / np.median(prediction))
-    if median_scaling:
+    if affine:
+        prediction = _fitted(truth, prediction, cap[1])
+    elif median_scaling:
         prediction = prediction * ratio
     return truth, np.clip(prediction, *cap), ratio
+
+
+def _fitted(truth: NDArray[np.float64], prediction: NDArray[np.float64], farthest: float) -> NDArray[np.float64]:
+    """Align inverse depths (N,) by scale and shift; what would lie behind the camera is the farthest."""
+    design = np.stack([1.0 / prediction, np.ones_like(prediction)], axis=1)
+    inverse = design @ np.linalg.lstsq(design, 1.0 / truth, rcond=None)[0]
+    return np.asarray(1.0 / np.maximum(inverse, 1.0 / farthest))
 
 
 def evaluate_depth_image(
@@ -117,13 +130,14 @@ def evaluate_depth_image(
     cap: tuple[float, float] = DEFAULT_CAP,
     crop: str = "none",
     median_scaling: bool = True,
+    affine: bool = False,
 ) -> dict[str, float] | None:
     """Evaluate one image; see ``align_depth`` for the arguments and errors.
 
     Returns:
         The seven metrics, ``scale`` (ratio of the medians) and ``pixels``; None if no pixel counts.
     """
-    aligned = align_depth(gt, pred, cap, crop, median_scaling)
+    aligned = align_depth(gt, pred, cap, crop, median_scaling, affine)
     if aligned is None:
         return None
     truth, prediction, ratio = aligned
@@ -139,6 +153,7 @@ class DepthEvaluation:
         median_scaling: Per-image median scaling.
         caps: Further farthest depths to evaluate for, each by the full protocol (the paper: 30, 40, ... 80 m).
         bins: Ascending depths in metres; errors are also collected for the truth between each two of them.
+        affine: Per-image scale and shift of inverse depth in place of median scaling.
     """
 
     def __init__(
@@ -148,10 +163,12 @@ class DepthEvaluation:
         median_scaling: bool = True,
         caps: Seq[float] = (),
         bins: Seq[float] = (),
+        affine: bool = False,
     ) -> None:
         if len(bins) == 1 or np.any(np.diff(bins) <= 0):
             raise ConfigError(f"The depth bins must be at least two ascending depths in metres, got {list(bins)}.")
         self.cap, self.crop, self.median_scaling = (float(cap[0]), float(cap[1])), crop, median_scaling
+        self.affine = affine
         self._images: dict[float, list[dict[str, float]]] = {self.cap[1]: [], **{float(c): [] for c in caps}}
         self._caps = [float(c) for c in caps]
         self._bins = np.asarray(bins, np.float64)
@@ -165,7 +182,7 @@ class DepthEvaluation:
         self._seen += 1
         headline = None
         for farthest, images in self._images.items():
-            aligned = align_depth(gt, pred, (self.cap[0], farthest), self.crop, self.median_scaling)
+            aligned = align_depth(gt, pred, (self.cap[0], farthest), self.crop, self.median_scaling, self.affine)
             if aligned is None:
                 continue
             truth, prediction, ratio = aligned
@@ -191,7 +208,8 @@ class DepthEvaluation:
             "crop": self.crop,
             "images": len(images),
             "images_without_truth": self._seen - len(images),
-            "median_scaling": self.median_scaling,
+            "median_scaling": self.median_scaling and not self.affine,
+            "scale_and_shift": self.affine,
             "scale_median": middle,
             "scale_std": float(np.std(scales / middle)) if middle else None,
             "reason": None if images else "No image has true depth within the cap.",
@@ -266,7 +284,8 @@ def evaluate_depth(
         indices: Frames to evaluate; all by default.
         cap: (nearest, farthest) metres.
         crop: ``none``, ``garg`` or ``eigen``.
-        median_scaling: Whether each prediction is scaled by the ratio of medians.
+        median_scaling: Whether each prediction is scaled by the ratio of medians. Predictions of a network of the kind
+            ``affine_disparity`` are aligned by scale and shift of inverse depth in any case.
         caps: Further farthest depths, evaluated on the same predictions.
         bins: Ascending depths in metres for the errors by depth.
 
@@ -278,7 +297,8 @@ def evaluate_depth(
         ContractError: If a prediction is not finite and positive.
     """
     predict = estimator.predict if hasattr(estimator, "predict") else estimator
-    evaluation = DepthEvaluation(cap, crop, median_scaling, caps, bins)
+    affine = getattr(estimator, "depth_kind", None) == DepthKind.AFFINE_DISPARITY
+    evaluation = DepthEvaluation(cap, crop, median_scaling, caps, bins, affine)
     for index in range(len(sequence)) if indices is None else indices:
         gt = sequence.depth(int(index))
         if gt is None:

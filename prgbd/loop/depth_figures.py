@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prgbd.core.data import Sequence
+from prgbd.core.depth_kind import DepthKind
 from prgbd.evaluation.depth import DEFAULT_CAP, DepthEvaluation
 from prgbd.evaluation.settings import EvaluationSettings
 from prgbd.io.files import atomic_path
@@ -44,6 +45,7 @@ def depth_figures(sensors: Seq[DepthSensor], settings: EvaluationSettings | None
         chosen.median_scaling,
         chosen.chosen_caps,
         chosen.chosen_bins,
+        any(sensor.estimator.depth_kind == DepthKind.AFFINE_DISPARITY for sensor in sensors),
     )
     truth_seen = False
     for sensor in sensors:

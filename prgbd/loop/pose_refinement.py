@@ -125,7 +125,7 @@ class PoseRefinement:
         statistics = sensor.prepare()
         known = self.settings.baseline or statistics.adaptive_baseline
         baseline = None if self.settings.running_baseline else known
-        given = SlamInput(sensor, "pseudo_rgbd", baseline, statistics)
+        given = SlamInput(sensor, "pseudo_rgbd", baseline, statistics, self.parts.estimator.depth_kind)
         recording = self.store.path("viz", f"{self.loop:02d}-{sequence.name}")
         viewer = None if self.parts.make_viewer is None else self.parts.make_viewer(sequence, recording)
         result = run_slam(

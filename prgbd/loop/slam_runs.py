@@ -10,6 +10,7 @@ from typing import Any
 
 from prgbd.core.bare_starts import without_bare_starts
 from prgbd.core.data import Sequence
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import DataError
 from prgbd.core.slam import GeometricSLAM, TrackingState
 from prgbd.core.types import Frame, SlamResult
@@ -37,12 +38,14 @@ class SlamInput:
         mode: A mode of ``GeometricSLAM``; ``pseudo_rgbd`` works with every system that knows ``rgbd``.
         baseline: Metres, or None for ``mono``.
         statistics: What the pseudo depth looks like, or None for a sensor's depth.
+        depth_kind: What the pseudo depth is.
     """
 
     frames: Iterable[Frame]
     mode: str
     baseline: float | None = None
     statistics: DepthStatistics | None = None
+    depth_kind: DepthKind = DepthKind.SCALE
 
 
 def sensor_input(sequence: Sequence, mode: str, baseline: float | None) -> SlamInput:
@@ -118,6 +121,7 @@ def run_slam(
         work = WorkTime(stages.leave_out)
         # A system without a mode of its own for pseudo depth takes it as a sensor's.
         mode = "rgbd" if given.mode == "pseudo_rgbd" and given.mode not in system.modes else given.mode
+        system.expect_depth(given.depth_kind)
         system.reset(sequence.camera, mode, baseline=given.baseline, fps=sequence.fps, seed=seed)
         if load_map is not None:
             system.load_map(load_map)

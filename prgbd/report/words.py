@@ -111,7 +111,10 @@ def depth_basis(depth: dict[str, Any]) -> str:
         parts.append(f"{near:g}–{far:g} m cap")
     if depth.get("crop") not in (None, "none"):
         parts.append(f"{depth['crop']} crop")
-    parts.append("median scaling" if depth.get("median_scaling", True) else "no median scaling")
+    if depth.get("scale_and_shift"):
+        parts.append("scale and shift of inverse depth by least squares")
+    else:
+        parts.append("median scaling" if depth.get("median_scaling", True) else "no median scaling")
     count = depth.get("images") or 0
     parts.append(f"{count} image" + "s" * (count != 1))
     return ", ".join(parts)

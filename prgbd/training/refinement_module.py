@@ -11,9 +11,11 @@ from lightning.pytorch.callbacks import Callback
 from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.loss import LossInputs
 from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.types import DepthPrediction
+from prgbd.training.alignment import aligned
 from prgbd.training.batch_statistics import BATCH_NORMALISATION
 from prgbd.training.objective import make_augmentations, make_terms
 from prgbd.training.optimizers import adam
@@ -25,7 +27,8 @@ class DepthRefinement(lightning.LightningModule):
     """The training of any depth network on SLAM's output.
 
     The total loss is the weighted sum of the terms that the settings name. The network predicts the depth of those
-    images alone that a term asks for.
+    images alone that a term asks for. Where its inverse depth lacks scale and shift, SLAM's points give both to every
+    image before the terms see it.
 
     Args:
         estimator: The network; it is trained in place.
@@ -73,8 +76,10 @@ class DepthRefinement(lightning.LightningModule):
             None if disparities is None else tuple(disparity.float() for disparity in disparities),
             None if sigma is None else sigma.float(),
         )
-        inputs = LossInputs(batch, self._views, prediction, generator)
         with torch.autocast(batch.images.device.type, enabled=False):
+            if self.estimator.depth_kind == DepthKind.AFFINE_DISPARITY:
+                prediction = aligned(prediction, batch, self._views)
+            inputs = LossInputs(batch, self._views, prediction, generator)
             return {name: term(inputs) for name, term in zip(self._names, self._terms, strict=True)}
 
     def total(self, terms: Mapping[str, Tensor]) -> Tensor:

@@ -13,6 +13,7 @@ from prgbd import DepthPrediction
 from prgbd.core.errors import ConfigError
 from prgbd.core.wrappers import (
     WRAPPERS,
+    AffineCorrupted,
     Cached,
     Clipped,
     DepthWrapper,
@@ -57,6 +58,7 @@ def images():
         [{"median_scaled": {"median": 3.0}}],
         [{"clipped": {"farthest": 7.0}}],
         ["cached"],
+        [{"affine_corrupted": {"seed": 1}}],
         [{"clipped": {"nearest": 3.0, "farthest": 9.0}}, "flip_averaged", {"cached": {"size": 2}}],
     ],
     ids=str,
@@ -166,7 +168,29 @@ def test_what_cannot_work_is_refused_in_one_sentence(wrappers, match) -> None:
 
 
 def test_all_are_there() -> None:
-    assert set(WRAPPERS) == {"flip_averaged", "scaled", "median_scaled", "clipped", "cached"}
+    assert set(WRAPPERS) == {"affine_corrupted", "flip_averaged", "scaled", "median_scaled", "clipped", "cached"}
+
+
+def test_corruption_follows_from_the_image_and_can_be_undone(images) -> None:
+    plain, corrupted = LeftRight(), AffineCorrupted(LeftRight(), seed=3)
+    before, after = 1 / plain(images).depth.flatten(1), 1 / corrupted(images).depth.flatten(1)
+    for x, y in zip(before.detach().numpy(), after.detach().numpy(), strict=True):
+        straight = y > 1.01 * y.min()
+        assert np.abs(np.polyval(np.polyfit(x[straight], y[straight], 1), x[straight]) - y[straight]).max() < 1e-4
+    assert torch.allclose(after[1], 1 / corrupted(images[1:]).depth.flatten(1)[0])
+    assert not torch.allclose(after, 1 / AffineCorrupted(plain, seed=4)(images).depth.flatten(1))
+    assert corrupted.depth_kind == "affine_disparity"
+    assert Scaled(corrupted, 2.0).depth_kind == "affine_disparity", "no factor makes it metric"
+
+
+def test_metric_goes_on_to_declare_the_kind() -> None:
+    class Metres(LeftRight):
+        metric = True
+
+    network = Metres()
+    assert (network.metric, network.depth_kind) == (True, "metric")
+    network.metric = False
+    assert (network.metric, network.depth_kind) == (False, "scale")
 
 
 class TwoScales(Constant):

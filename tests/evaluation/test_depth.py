@@ -200,3 +200,10 @@ def test_no_truth_gives_none_and_a_reason():
     assert "No image" in found["reason"]
     assert found["by_cap"][0]["abs_rel"] is None
     assert found["by_depth"][0]["abs_rel"] is None
+
+
+def test_scale_and_shift_of_inverse_depth():
+    gt = np.linspace(2.0, 40.0, 300, dtype=np.float32).reshape(15, 20)
+    pred = (1.0 / (3.0 * (1.0 / gt + 0.2))).astype(np.float32)
+    assert evaluate_depth_image(gt, pred, affine=True)["abs_rel"] < 1e-4
+    assert evaluate_depth_image(gt, pred)["abs_rel"] > 0.2

@@ -14,6 +14,7 @@ from prgbd.cli.job import Job
 from prgbd.cli.task_options import DepthTask
 from prgbd.cli.tasks.reporting import report
 from prgbd.core.data import Sequence
+from prgbd.core.depth_kind import DepthKind
 from prgbd.io.disk import writing
 from prgbd.io.files import write_json
 from prgbd.loop.depth_figures import depth_figures, write_samples
@@ -22,6 +23,11 @@ from prgbd.loop.sensing import DepthSensor
 from prgbd.loop.summary import write_summary
 
 _PNG_MAX = 65535
+_UNITS = {
+    DepthKind.METRIC: "m",
+    DepthKind.SCALE: "up to scale",
+    DepthKind.AFFINE_DISPARITY: "inverse depth up to scale and shift",
+}
 
 
 def run(job: Job) -> None:
@@ -124,7 +130,7 @@ def _write_depth(job: Job, sensor: DepthSensor) -> dict[str, Any]:
         noted = {
             "frames": len(indices),
             "png_scale": options.png_scale,
-            "unit": "m" if sensor.estimator.metric else "up to scale",
+            "unit": _UNITS[sensor.estimator.depth_kind],
             "pixels_beyond_png": clipped,
             "preview_range": [near, far],
         }

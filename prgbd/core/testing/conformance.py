@@ -97,7 +97,7 @@ class _DepthChecks:
 
     def all(self) -> list[Check]:
         checks = [
-            Check("declares input_size, depth_range and metric", self._declarations),
+            Check("declares input_size, depth_range and depth_kind", self._declarations),
             Check("forward: positive, finite depth at the input's size, finest first", self._forward),
             Check("forward: gradients reach the weights and are finite", self._gradients),
             Check("predict: depth at the image's own size, the mode kept, the same twice", self._predict),
@@ -117,8 +117,6 @@ class _DepthChecks:
         estimator = self.estimator
         require(isinstance(estimator, DepthEstimator), self.who, "is no subclass of prgbd.DepthEstimator.")
         check_declarations(estimator, self.who)
-        boolean = isinstance(estimator.metric, bool)
-        require(boolean, self.who, f"declares metric={estimator.metric!r}; it must be True or False.")
 
     def _forward(self) -> None:
         import torch

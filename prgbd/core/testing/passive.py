@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from prgbd.core.augmentation import Augmentation
 from prgbd.core.criterion import Criterion, Evidence, Verdict
 from prgbd.core.data import Sequence
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import BrokenPluginError, ConfigError, ContractError, PrgbdError
 from prgbd.core.refinement_batch import RefinementBatch
 from prgbd.core.slam import GeometricSLAM, Listener, SlamView, TrackingResult
@@ -79,6 +80,12 @@ def check_declarations(estimator: Any, who: str) -> None:
         isinstance(near_far, tuple) and len(near_far) == 2 and 0 < near_far[0] < near_far[1],
         who,
         f"declares depth_range={near_far!r}; it must be (nearest, farthest) with 0 < nearest < farthest.",
+    )
+    kind = getattr(estimator, "depth_kind", None)
+    require(
+        isinstance(kind, str) and kind in set(DepthKind),
+        who,
+        f"declares depth_kind={kind!r}; it must be one of {', '.join(DepthKind)}.",
     )
 
 
@@ -207,6 +214,10 @@ class CheckedSLAM(GeometricSLAM):
     def load_map(self, path: Path | str) -> None:
         """See ``GeometricSLAM.load_map``."""
         self.unwrapped.load_map(path)
+
+    def expect_depth(self, kind: DepthKind) -> None:
+        """See ``GeometricSLAM.expect_depth``."""
+        self.unwrapped.expect_depth(kind)
 
     def listen(self, listener: Listener | None) -> None:
         """See ``GeometricSLAM.listen``."""

@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from prgbd.core.depth import DepthEstimator, load_matching, read_state_dict, stored_size
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.core.option_ranges import Positive, Seed, Side
 from prgbd.core.tensor_files import write_tensors
@@ -135,7 +136,7 @@ class RTMonoDepth(DepthEstimator):
         super().__init__()
         if not 0 < min_depth < max_depth:
             raise ConfigError(f"depth.min_depth={min_depth:g} must lie between 0 and depth.max_depth={max_depth:g}.")
-        self.metric = scale is not None
+        self.depth_kind = DepthKind.SCALE if scale is None else DepthKind.METRIC
         self.scale = 1.0 if scale is None else float(scale)
         self.depth_range = (self.scale * min_depth, self.scale * max_depth)
         self.input_size = DEFAULT_SIZE

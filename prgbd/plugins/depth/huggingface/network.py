@@ -34,7 +34,8 @@ class HuggingFaceDepth(DepthEstimator):
 
     Relative disparity d (Depth Anything, DPT) becomes depth 1 / (d / (2 u) + 1 / max_depth): its zero is the far end,
     as it was trained (Ranftl et al., TPAMI 2022), and u is the model's own unit, so that what is near lies at about 2.
-    The virtual baseline of the loop adapts to the rest of the scale. Metric depth stays what it is.
+    Its true scale and shift are another pair in every image, which is declared (``affine_disparity``) and left to SLAM
+    and to the training. Metric depth stays what it is.
 
     Images are resized to ``input_size`` in torch by the rules of the model's image processor, then, if need be, to
     the model's multiple. Paddings and flips that some processors add at test time are left out.
@@ -76,7 +77,7 @@ class HuggingFaceDepth(DepthEstimator):
         self.model: Any = network
         config: Any = self.model.config
         self.meaning = meaning_of(config, output)
-        self.metric = self.meaning.metric
+        self.depth_kind = self.meaning.depth_kind
         self.rules = input_rules(config.model_type, self._processor, _patch(config), _square(config))
         self._chosen_size = height is not None or width is not None
         self.input_size = (int(height or self.rules.size[0]), int(width or self.rules.size[1]))

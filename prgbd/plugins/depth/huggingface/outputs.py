@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ConfigError
 
 KINDS = ("auto", "depth", "disparity")
@@ -21,12 +22,12 @@ class Meaning:
 
     Attributes:
         kind: ``depth`` or ``disparity``.
-        metric: Whether depth is in metres.
+        depth_kind: What the depth made of them is.
         farthest: The largest depth the model was made for, metres; None if it does not say.
     """
 
     kind: str
-    metric: bool
+    depth_kind: DepthKind
     farthest: float | None = None
 
 
@@ -55,24 +56,27 @@ def meaning_of(config: Any, output: str) -> Meaning:
         return known
     if known is not None and known.kind == output:
         return known
-    return Meaning(output, metric=False, farthest=known.farthest if known else None)
+    kind = DepthKind.SCALE if output == "depth" else DepthKind.AFFINE_DISPARITY
+    return Meaning(output, kind, farthest=known.farthest if known else None)
 
 
 def _known(config: Any) -> Meaning | None:
     kind = config.model_type
     if kind in ("depth_anything", "prompt_depth_anything"):
         if config.depth_estimation_type == "metric":
-            return Meaning("depth", True, float(config.max_depth or 80.0))
-        return Meaning("disparity", False)
+            return Meaning("depth", DepthKind.METRIC, float(config.max_depth or 80.0))
+        return Meaning("disparity", DepthKind.AFFINE_DISPARITY)
     if kind == "zoedepth":
         farthest = max((float(c["max_depth"]) for c in config.bin_configurations or ()), default=80.0)
-        return Meaning("depth", True, farthest)
+        return Meaning("depth", DepthKind.METRIC, farthest)
     if kind == "glpn":
-        return Meaning("depth", True, float(config.max_depth))
+        return Meaning("depth", DepthKind.METRIC, float(config.max_depth))
     if kind == "dpt":
         backbone = getattr(config.backbone_config, "model_type", None)
-        return Meaning("depth", True) if backbone == "dinov2" else Meaning("disparity", False)
-    return Meaning("disparity", False) if kind == "depth_pro" else None
+        if backbone == "dinov2":
+            return Meaning("depth", DepthKind.METRIC)
+        return Meaning("disparity", DepthKind.AFFINE_DISPARITY)
+    return Meaning("disparity", DepthKind.SCALE) if kind == "depth_pro" else None
 
 
 def disparity_unit(predict: Callable[[Tensor], Tensor], height: int, width: int) -> float:

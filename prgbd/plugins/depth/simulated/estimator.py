@@ -14,6 +14,7 @@ from torch import Tensor
 
 from prgbd.core.data import Sequence
 from prgbd.core.depth import DepthEstimator
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ContractError, DataError
 from prgbd.core.options import from_mapping
 from prgbd.core.types import DepthPrediction, Frame
@@ -39,7 +40,7 @@ class SimulatedDepth(DepthEstimator):
     """
 
     input_size = (256, 384)  # any serves: what it looks at has the size of the recording's images
-    metric = True
+    depth_kind = DepthKind.METRIC
 
     def __init__(self, **options: Any) -> None:
         super().__init__()

@@ -10,12 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from prgbd.core.bare_starts import without_bare_starts
+from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import ConfigError, ContractError
 from prgbd.core.slam import GeometricSLAM, SlamView, TrackingResult, TrackingState
 from prgbd.core.types import Frame, PinholeCamera, SlamResult
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.camera.depth_noise import depth_noise
-from prgbd.plugins.slam.orb_gtsam.camera.virtual_baseline import RunningBaseline, set_baseline
+from prgbd.plugins.slam.orb_gtsam.camera.virtual_baseline import MEDIAN_BASELINE, RunningBaseline, set_baseline
 from prgbd.plugins.slam.orb_gtsam.diagnostics.compilation_notice import announce_compilation
 from prgbd.plugins.slam.orb_gtsam.diagnostics.depth_error import depth_error
 from prgbd.plugins.slam.orb_gtsam.diagnostics.frame_figures import depth_figures, map_sizes, view_of
@@ -37,6 +38,7 @@ from prgbd.plugins.slam.orb_gtsam.mapping.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.mapping.threaded_backend import ThreadedBackend
 from prgbd.plugins.slam.orb_gtsam.optimisation.make_solver import make_solver
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
+from prgbd.plugins.slam.orb_gtsam.tracking.depth_affine import AffineDepthFollower
 from prgbd.plugins.slam.orb_gtsam.tracking.depth_scale import DepthScaleFollower
 from prgbd.plugins.slam.orb_gtsam.tracking.front_end import FrontEnd
 from prgbd.plugins.slam.orb_gtsam.tracking.initializer import DepthInitializer, Initializer, keypoints_to_start
@@ -70,7 +72,12 @@ class OrbGtsamSLAM(GeometricSLAM):
 
     def __init__(self, **options: Any) -> None:
         self.settings = Settings.from_options(options)
+        self._depth_kind = DepthKind.SCALE
         self._ready = False
+
+    def expect_depth(self, kind: DepthKind) -> None:
+        """See ``GeometricSLAM.expect_depth``; it holds for every sequence to come."""
+        self._depth_kind = kind
 
     def reset(
         self, camera: PinholeCamera, mode: str, *, baseline: float | None = None, fps: float = 30.0, seed: int = 0
@@ -82,6 +89,9 @@ class OrbGtsamSLAM(GeometricSLAM):
         """
         if mode not in self.modes:
             raise ConfigError(f"orb_gtsam has no mode '{mode}'; set slam.mode to {' or '.join(sorted(self.modes))}.")
+        affine = self._is_affine(mode)
+        if affine:
+            baseline = MEDIAN_BASELINE
         running = mode == "pseudo_rgbd" and baseline is None
         if mode != "mono" and not running and (baseline is None or not np.isfinite(baseline) or baseline <= 0):
             raise ConfigError(f"Mode '{mode}' needs a positive baseline in metres, got {baseline}; set slam.baseline.")
@@ -119,6 +129,7 @@ class OrbGtsamSLAM(GeometricSLAM):
             extractor.columns,
             stereo=mode == "stereo",
             noise=depth_noise(settings.depth, mode, extractor.capacity),
+            affine=self._is_affine(mode),
         )
         if mode != "mono":
             set_baseline(model, settings.depth, baseline)
@@ -153,7 +164,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         least = keypoints_to_start(self._reader.left.capacity, camera.pinhole.width, camera.pinhole.height)
         initializer: Initializer = (
             TwoViewInitializer(settings, camera, creator, self._solver, least, seed)
-            if camera.mono
+            if camera.without_unit
             else DepthInitializer(creator, least)
         )
         tracker = Tracker(settings, camera, self._map, self._covisibility)
@@ -166,8 +177,17 @@ class OrbGtsamSLAM(GeometricSLAM):
             self._watch,
             fps,
             settings.keyframes.take_outliers(self._mode),
-            DepthScaleFollower(self._map, camera) if settings.depth.follows(self._mode) else None,
+            self._make_depth_follower(),
         )
+
+    def _is_affine(self, mode: str) -> bool:
+        """Say whether scale and shift of inverse depth are to be found."""
+        return self._depth_kind == DepthKind.AFFINE_DISPARITY and self.settings.depth.follows(mode)
+
+    def _make_depth_follower(self) -> DepthScaleFollower | None:
+        if not self.settings.depth.follows(self._mode):
+            return None
+        return (AffineDepthFollower if self._camera.affine else DepthScaleFollower)(self._map, self._camera)
 
     def track(self, frame: Frame) -> TrackingResult:
         """Track the next frame; see ``GeometricSLAM.track``.

@@ -38,6 +38,8 @@ class CameraModel:
         trusted_depth: Depths beyond make no stereo observation; infinite by default.
         stereo: Whether depth comes from a real right image.
         noise: How far measured depths may be off.
+        affine: Whether measured inverse depth is only known up to scale and shift, which every frame's place in the map
+            tells; what needs a unit before that does without.
     """
 
     pinhole: PinholeCamera
@@ -49,6 +51,12 @@ class CameraModel:
     trusted_depth: float = np.inf
     stereo: bool = False
     noise: DepthNoise = field(default_factory=DepthNoise)
+    affine: bool = False
+
+    @property
+    def without_unit(self) -> bool:
+        """Whether maps start from two views, each in a unit of its own."""
+        return self.mono or self.affine
 
     @property
     def mode(self) -> str:

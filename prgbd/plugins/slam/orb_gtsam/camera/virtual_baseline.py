@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prgbd.core.slam import adaptive_baseline
+from prgbd.core.slam import KITTI_BASELINE, adaptive_baseline
 from prgbd.plugins.slam.orb_gtsam.camera.camera_model import CameraModel
 from prgbd.plugins.slam.orb_gtsam.settings import DepthOptions
 
+# The baseline of depth that has no unit, per median depth of a new map: on KITTI the median of keypoints is about 13 m.
+MEDIAN_BASELINE = KITTI_BASELINE / 13.0
 # A largest depth that grows by less leaves the baseline as it is.
 _GROWTH = 1.05
 

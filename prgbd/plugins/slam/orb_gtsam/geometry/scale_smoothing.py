@@ -14,6 +14,8 @@ FloatArray = NDArray[np.float64]
 _SIGMAS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3)
 _LENGTHS = (3.0, 10.0, 30.0)
 _LIKELY, _OTHERWISE = 0.1, 0.7
+# What is tried besides where a network may choose the scale of every image anew.
+_ARBITRARY_SIGMAS, _ARBITRARY_LENGTHS = (0.5, 1.0), (0.3,)
 # Standard deviation of the scale of a single keyframe's depth, and of the unit of the whole.
 _WHITE, _UNIT = 0.03, 2.0
 # Standard deviation (log) of a drift that geometry leaves quite open.
@@ -35,7 +37,9 @@ class ScaleSplit:
     length: float
 
 
-def split_scale(log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | None = None) -> ScaleSplit:
+def split_scale(
+    log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | None = None, *, arbitrary: bool = False
+) -> ScaleSplit:
     """Split ``log_ratio = unit + drift + wander + noise``, all of them Gaussian, by what each can be.
 
     The drift has the covariance that geometry leaves it. The wander is stationary, so that it averages out over a
@@ -45,6 +49,7 @@ def split_scale(log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | 
         log_ratio: (K,) logarithm of the network's depth over the map's at keyframes, NaN where that is not known.
         covariance: (K, K) of the drift, symmetric and finite.
         at: (K,) numbers of the keyframes; 0, 1, 2 and so on if left out.
+        arbitrary: Whether the network may choose the scale of every image anew.
 
     Returns:
         The split. The network's unit is part of the drift: a map that is multiplied by ``exp(drift)`` has that unit.
@@ -60,8 +65,8 @@ def split_scale(log_ratio: FloatArray, covariance: FloatArray, at: FloatArray | 
     fixed = covariance[np.ix_(known, known)] + _WHITE**2 * np.eye(len(known)) + _UNIT**2
     best = max(
         (_likelihood(fixed + sigma**2 * np.exp(-apart / length), observed) - _surprise(sigma), sigma, length)
-        for sigma in _SIGMAS
-        for length in _LENGTHS
+        for sigma in _SIGMAS + (_ARBITRARY_SIGMAS if arbitrary else ())
+        for length in _LENGTHS + (_ARBITRARY_LENGTHS if arbitrary else ())
     )
     _, sigma, length = best
     solved = np.linalg.solve(fixed + sigma**2 * np.exp(-apart / length), observed)

@@ -91,7 +91,7 @@ class LoopVerifier:
         found = self._similarity(k, candidate, matches, free_scale=True)
         if found is None:
             return None
-        if chosen == "free" or (chosen == "auto" and self.camera.mono):
+        if chosen == "free" or (chosen == "auto" and self.camera.without_unit):
             return self._against_map(k, candidate, found, free_scale=True)
         if abs(np.log(sim.scale_of(found))) > _SAME_SCALE:
             # What fits only in another size: a network's depth has drifted, or these are two places.
@@ -134,7 +134,7 @@ class LoopVerifier:
 
     def _plausible(self, kSc: FloatArray) -> bool:
         scale = sim.scale_of(kSc)
-        low, high = (0.0, np.inf) if self.camera.mono else _DEPTH_SCALES
+        low, high = (0.0, np.inf) if self.camera.without_unit else _DEPTH_SCALES
         return bool(np.isfinite(kSc).all()) and low < scale < high
 
     def _correspondences(self, k: int, candidate: int, matches: IntArray) -> sim.Correspondences:

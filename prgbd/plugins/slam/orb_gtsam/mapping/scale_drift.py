@@ -68,7 +68,7 @@ def _correct_map(slam_map: Map, camera: CameraModel, keyframes: IntArray) -> dic
     drift_covariance = _OVERCONFIDENCE**2 * covariance.of(weight, chosen)
     if not np.isfinite(drift_covariance).all():
         return {"skipped": "geometry is too weak to be judged"}
-    split = split_scale(log_ratio[chosen], drift_covariance, chosen.astype(np.float64))
+    split = split_scale(log_ratio[chosen], drift_covariance, chosen.astype(np.float64), arbitrary=camera.affine)
     drift = np.interp(np.arange(len(keyframes)), chosen, split.drift)
     apply(slam_map, int(keyframes[-1]), _rescaled(slam_map, keyframes, np.exp(drift)))
     return {

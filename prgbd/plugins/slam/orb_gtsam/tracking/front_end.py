@@ -214,14 +214,14 @@ class FrontEnd:
         entered = self.tracker.last is not None  # a frame was tracked, since the start or since a map was loaded
         small = entered and len(self.map.alive()) <= self.settings.tracking.restart_keyframes
         begins = not self._restarting and (small or self._unknown >= self.settings.tracking.restart_after)
-        if begins or (self._restarting and not self.camera.mono):
+        if begins or (self._restarting and not self.camera.without_unit):
             self._restarting = True
             self.initializer.begin_at(self._expected(frame) if entered else np.eye(4))
         return self._start(frame, TrackingState.LOST) if self._restarting else TrackingResult(TrackingState.LOST)
 
     def _expected(self, frame: TrackedFrame) -> NDArray[np.float64]:
-        """Where the camera would be had it gone on as before it was lost; the length of a gap is unknown in mono."""
-        gap = 0 if self.camera.mono or self._lost > self.settings.tracking.restart_extrapolate else self._lost
+        """Where the camera would be had it gone on as before it was lost; without a unit gaps have no length."""
+        gap = 0 if self.camera.without_unit or self._lost > self.settings.tracking.restart_extrapolate else self._lost
         return self._motion_model.after(gap) @ self.tracker.last_pose()
 
     def _place(self, index: int, timestamp: float, reference: int, cTw: NDArray[np.float64]) -> None:

@@ -51,13 +51,13 @@ def needs_keyframe(
     expected = int(np.count_nonzero(known if doubtful is None else known & ~doubtful))
     needs_close = not camera.mono and _needs_close_points(camera, options.close_tracked, frame)
     ratio = options.ratio_first if keyframes < 2 else options.ratio
-    if camera.mono:
+    if camera.without_unit:
         ratio = options.ratio_mono
     overdue = since_last >= fps
     mapper_is_ready = since_last >= options.min_interval
     weak = not camera.mono and (inliers < _WEAK_SHARE * expected or needs_close)
     # A map that grows too slowly for the motion has few points that three keyframes see, so little is expected.
-    thin = camera.mono and inliers < options.thin_mono * len(frame.features)
+    thin = camera.without_unit and inliers < options.thin_mono * len(frame.features)
     # A keyframe without its frame's outliers has a fresh point in place of each, which it alone sees: found again, it
     # counts among the inliers, but not among what is expected. So the expected points alone would ask too late.
     sparse = inliers < held_share * int(np.count_nonzero(points >= 0))
