@@ -10,14 +10,14 @@ def test_every_option_says_what_it_means():
 def test_the_options_of_a_group_are_shown_with_defaults_and_meanings(cli):
     answer = cli("--help", "training")
     assert answer.code == 0
-    for words in ("training.batch_size=12", "Keyframes per step", "training.align_scale=null"):
+    for words in ("training.batch_size=auto", "Keyframes per step", "training.align_scale=null"):
         assert words in answer.out
     assert "pretraining." not in answer.out
 
 
 def test_one_option_of_several_tasks_and_groups_of_a_plugin_are_shown(cli):
     shown = cli("-h", "task.max_loops", "slam.tracking", "sensing.precision").out
-    for words in ("task.max_loops=3", "slam.tracking.restart_after=", "sensing.precision=float32"):
+    for words in ("task.max_loops=1", "slam.tracking.restart_after=", "sensing.precision=float32"):
         assert words in shown
 
 

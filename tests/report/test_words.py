@@ -36,6 +36,17 @@ def test_better_is_said_with_what_the_figures_rest_on(summary):
     assert not any("keeps the result" in s for s in text)
 
 
+def test_the_recipe_is_three_sentences(summary):
+    assert not any(text.startswith("Kept:") for text in describe(summary))
+    told = ["Teacher: SLAM on the images alone, for a reason.", "Learning: task.budget=30 (few keyframes)."]
+    summary["recipe"] = [{"loop": 0, "choices": [], "sentences": told}, {"loop": 1, "choices": [], "sentences": ["x"]}]
+    summary["loops"][-1]["criterion"] = {"index": 0.5}
+    text = describe(summary)
+    kept = f"Kept: {summary['loops'][-1]['name']}, for SLAM's evidence, free of labels, is 0.500 of what it was."
+    at = text.index(told[0])
+    assert text[at : at + 3] == [*told, kept]
+
+
 def test_worse_is_called_worse_and_the_same_is_called_the_same(summary):
     first = only(summary, 0, 1)
     worse = copy.deepcopy(first)
