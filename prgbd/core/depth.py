@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from collections.abc import Sequence as Many
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from prgbd.core.depth_kind import DepthKind
 from prgbd.core.errors import WeightsError
 from prgbd.core.option_errors import shown
 from prgbd.core.option_ranges import LARGEST_SIDE
+from prgbd.core.sigma_head import SigmaHead
 from prgbd.core.tensor_files import write_tensors
 from prgbd.core.types import DepthPrediction, Frame
 from prgbd.core.validation import check_image
@@ -151,6 +153,18 @@ class DepthEstimator(nn.Module, ABC):
                 return prediction
         finally:
             self.train(was_training)
+
+    def sigma_head(self) -> SigmaHead | None:
+        """Return what predicts the standard deviation of log depth and can learn it from SLAM's points, or None."""
+        return None
+
+    def sigma_features(self, images: Tensor) -> Many[Tensor]:
+        """Return the feature maps that ``sigma_head`` works on, finest first, for images as in ``forward``.
+
+        Raises:
+            NotImplementedError: If the network has a head and no such function.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no sigma_features.")
 
     def pose_network(self) -> nn.Module | None:
         """Return the pose network that belongs to this network's self-supervised pre-training, or None.

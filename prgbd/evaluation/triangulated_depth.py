@@ -57,11 +57,17 @@ def triangulated_ratios(result: SlamResult, seen: Observations) -> NDArray[np.fl
     return np.exp(_logarithms(result, seen)[0])
 
 
+def triangulated_observations(result: SlamResult, seen: Observations) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the observations whose points are triangulated, (N,) rows of ``seen``, and their depth in the keyframe."""
+    points, good = triangulated(result)
+    rows = np.flatnonzero(good[seen.point])
+    depth = points_in_camera(result.keyframes.wTc[seen.keyframe[rows]], points[seen.point[rows]])[:, 2]
+    return rows[depth > 0], depth[depth > 0]
+
+
 def _logarithms(result: SlamResult, seen: Observations) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the logarithms of measured over triangulated depth, (N,), and their keyframes, (N,)."""
-    points, good = triangulated(result)
-    use = good[seen.point] & (seen.depth > 0)
-    keyframe, measured = seen.keyframe[use], seen.depth[use].astype(np.float64)
-    depth = points_in_camera(result.keyframes.wTc[keyframe], points[seen.point[use]])[:, 2]
-    ahead = depth > 0
-    return np.log(measured[ahead] / depth[ahead]), np.asarray(keyframe[ahead], np.int64)
+    rows, depth = triangulated_observations(result, seen)
+    known = seen.depth[rows] > 0
+    rows, depth = rows[known], depth[known]
+    return np.log(seen.depth[rows].astype(np.float64) / depth), np.asarray(seen.keyframe[rows], np.int64)

@@ -15,7 +15,9 @@ from prgbd.loop.interrupts import interruptible
 from prgbd.loop.lessons import Lesson
 from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.monitor import Progress
-from prgbd.training.refinement import refine
+from prgbd.loop.sigma_learning import keyframes_apart, learn_sigma
+from prgbd.training.refinement import RefinementOutcome, refine
+from prgbd.training.refinement_settings import RefinementSettings
 
 
 class TrainingProgress(Callback):
@@ -51,6 +53,8 @@ class TrainingProgress(Callback):
 def refine_in_run(parts: LoopParts, lesson: Lesson, loop: int) -> dict[str, Any] | None:
     """Fine-tune the network in place; leave ``training/losses.csv`` and ``weights/`` in the loop's folder.
 
+    Where the network predicts how wrong its depth is, it learns that from the same results of SLAM.
+
     Args:
         parts: What the loop works with; the network has the weights that SLAM ran with.
         lesson: Recordings, what SLAM made of them, and how long to learn from it.
@@ -60,18 +64,32 @@ def refine_in_run(parts: LoopParts, lesson: Lesson, loop: int) -> dict[str, Any]
         The figures of the training, or None if SLAM's output holds nothing to learn from.
     """
     estimator, store, monitor, plan = parts.estimator, parts.store, parts.monitor, lesson.plan
-    settings = plan.settings
+    settings, supervised = plan.settings, lesson.supervised
+    if settings.learn == "uncertainty":
+        figures = learn_sigma(estimator, supervised, keyframes_apart(supervised, settings.val_fraction))
+        if figures is not None:
+            _store_weights(parts, loop)
+        return figures
     folder = store.loop(loop, "training")
     try:
         with interruptible(), monitor.stage("Refinement", _samples(lesson)) as progress:
             shown = parts.trainer.extended(TrainingProgress(progress, monitor.say), enable_progress_bar=False)
-            outcome = refine(estimator, lesson.supervised, settings, folder, shown, plan.budget)
+            outcome = refine(estimator, supervised, settings, folder, shown, plan.budget)
     except SlamError as error:
         monitor.say(f"  {error}")
         return None
     write_losses(outcome.losses, tuple(settings.loss), folder / "losses.csv")
-    with store.new_folder(store.loop(loop, "weights")) as weights:
-        estimator.save_weights(weights)
+    learnt = learn_sigma(estimator, supervised, outcome.held_out_frames) or {}
+    _store_weights(parts, loop)
+    return {**_figures(outcome, settings), **learnt}
+
+
+def _store_weights(parts: LoopParts, loop: int) -> None:
+    with parts.store.new_folder(parts.store.loop(loop, "weights")) as weights:
+        parts.estimator.save_weights(weights)
+
+
+def _figures(outcome: RefinementOutcome, settings: RefinementSettings) -> dict[str, Any]:
     return {
         "held_out_before": outcome.held_out_before,
         "held_out_after": outcome.held_out_after,

@@ -16,6 +16,7 @@ from prgbd.loop.outcome import Failures
 from prgbd.loop.pose_refinement import PoseRefinement, loop_name, step_name
 from prgbd.loop.recipe import announcement, plain, sentences
 from prgbd.loop.refining import refine_in_run
+from prgbd.loop.sigma_learning import describe_sigma
 from prgbd.loop.summary import write_summary, write_truth
 
 
@@ -134,11 +135,23 @@ class SelfImprovingLoop:
         return ""
 
     def _check_trainable(self) -> None:
-        """Refuse to refine what has no weights."""
+        """Refuse to refine what has no weights, or no uncertainty where that alone is to be learnt."""
+        if self.settings.max_loops and self._learns_uncertainty:
+            if self.estimator.sigma_head() is None:
+                raise ConfigError(
+                    f"depth={self.parts.identity.depth} predicts no uncertainty that training.learn=uncertainty could "
+                    "teach it; add depth.uncertainty=true where the network has that option, or "
+                    "depth.wrappers=[self_doubting]."
+                )
+            return
         if self.settings.max_loops and not any(weight.requires_grad for weight in self.estimator.parameters()):
             raise ConfigError(
                 f"depth={self.parts.identity.depth} has no weights that a refinement could train; add task.max_loops=0."
             )
+
+    @property
+    def _learns_uncertainty(self) -> bool:
+        return self.parts.refinement is not None and self.parts.refinement.learn == "uncertainty"
 
     def _check_weights(self) -> None:
         """Refuse to go on with a run whose first weights were other ones."""
@@ -159,10 +172,17 @@ class SelfImprovingLoop:
         training = self.store.step(step_name(loop, "refine"), lambda: refine_in_run(self.parts, lesson, loop))
         if training is None:
             return None, "No keyframe of SLAM had neighbours on both sides, so there was nothing to learn from."
-        before, after = training["held_out_before"], training["held_out_after"]
-        reason = stop_reason(self._criterion, before, after, self.settings.min_improvement)
+        before, after = training.get("held_out_before"), training.get("held_out_after")
+        # What says how wrong depth is changes no loss.
+        reason = (
+            ""
+            if self._learns_uncertainty
+            else stop_reason(self._criterion, before, after, self.settings.min_improvement)
+        )
         if before is not None and after is not None:
             self.monitor.say(f"  refined on {training['samples']} keyframes: held-out loss {before:.5f} -> {after:.5f}")
+        if training.get("sigma_points"):
+            self.monitor.say(describe_sigma(training))
         if not reason and resumed:
             self.estimator.load_weights(weights)
         return training, reason

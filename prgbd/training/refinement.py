@@ -61,6 +61,7 @@ class RefinementOutcome:
         keyframes: Number of keyframes that SLAM kept.
         skipped: Why the others gave none, reason -> number.
         points_per_sample: Mean number of points that a sample's three keyframes share.
+        held_out_frames: Recording and frame of the keyframes that measured the criterion.
         scales: Factor on SLAM's lengths per sequence, that of its largest map; 1 where the scale was left alone.
         steps: Steps of the optimiser.
         seconds: Duration.
@@ -75,6 +76,7 @@ class RefinementOutcome:
     keyframes: int
     skipped: dict[str, int]
     points_per_sample: float
+    held_out_frames: list[tuple[str, int]] = field(default_factory=list)
     scales: dict[str, float] = field(default_factory=dict)
     steps: int = 0
     seconds: float = 0.0
@@ -135,6 +137,7 @@ def refine(
         keyframes=sum(s.keyframes for s in supervisions),
         skipped=dict(sum((Counter(s.skipped) for s in supervisions), Counter())),
         points_per_sample=float(np.mean([len(x.point) for s in supervisions for x in s.samples])),
+        held_out_frames=data.held_out_frames,
         scales=_scales(sources),
         steps=max(row["step"] for row in rows),
         seconds=time.perf_counter() - began,

@@ -169,6 +169,7 @@ class RefinementData(ResumableData):
     Attributes:
         train_samples: Number of samples that train.
         held_out_samples: Number of samples that measure the label-free criterion.
+        held_out_frames: Recording and frame of each of those.
     """
 
     def __init__(self, sources: Many[SupervisedImages], settings: RefinementSettings) -> None:
@@ -179,6 +180,9 @@ class RefinementData(ResumableData):
         self._train = _Samples(sources, [everything[i] for i in train])
         self._held_out = _Samples(sources, [everything[i] for i in held_out])
         self.train_samples, self.held_out_samples = len(train), len(held_out)
+        self.held_out_frames = [
+            (sources[s].name, sources[s].supervision.samples[i].current) for s, i in self._held_out.chosen
+        ]
 
     def mixed_keyframes(self) -> Iterator[Tensor]:
         """Yield the keyframes that train, (B, 3, H, W) float32 in [0, 1], as many at a time as the network trains with.

@@ -20,6 +20,8 @@ class RefinementSettings:
     The defaults are those that served every recording that was tried; ``experiment=paper`` has the paper's.
 
     Attributes:
+        learn: ``all``, or ``uncertainty``: leave depth as it is and learn from SLAM how wrong it is, see
+            ``sigma_fit``; with ``all`` that is learnt at the end, where the network predicts it.
         loss: Loss terms, name -> options, see ``objective``; a term of weight 0 is not computed.
         augmentation: Augmentations, name -> options, likewise.
         learning_rate: Of Adam, or "auto": by how well the network knows the scene (the paper: 1e-6).
@@ -63,6 +65,7 @@ class RefinementSettings:
         ConfigError: If a value cannot work.
     """
 
+    learn: Literal["all", "uncertainty"] = "all"
     loss: Nodes = field(default_factory=lambda: dict(METHOD))
     augmentation: Nodes = field(default_factory=dict)
     learning_rate: Positive | Auto = AUTO

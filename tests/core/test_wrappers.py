@@ -10,7 +10,8 @@ import torch
 
 import prgbd
 from prgbd import DepthPrediction
-from prgbd.core.errors import ConfigError
+from prgbd.core.errors import ConfigError, WeightsError
+from prgbd.core.self_doubting import SelfDoubting
 from prgbd.core.wrappers import (
     WRAPPERS,
     AffineCorrupted,
@@ -59,6 +60,8 @@ def images():
         [{"clipped": {"farthest": 7.0}}],
         ["cached"],
         [{"affine_corrupted": {"seed": 1}}],
+        ["self_doubting"],
+        [{"self_doubting": {"mirror": False}}, "flip_averaged"],
         [{"clipped": {"nearest": 3.0, "farthest": 9.0}}, "flip_averaged", {"cached": {"size": 2}}],
     ],
     ids=str,
@@ -168,7 +171,8 @@ def test_what_cannot_work_is_refused_in_one_sentence(wrappers, match) -> None:
 
 
 def test_all_are_there() -> None:
-    assert set(WRAPPERS) == {"affine_corrupted", "flip_averaged", "scaled", "median_scaled", "clipped", "cached"}
+    shipped = {"affine_corrupted", "flip_averaged", "scaled", "median_scaled", "clipped", "cached", "self_doubting"}
+    assert set(WRAPPERS) == shipped
 
 
 def test_corruption_follows_from_the_image_and_can_be_undone(images) -> None:
@@ -191,6 +195,33 @@ def test_metric_goes_on_to_declare_the_kind() -> None:
     assert (network.metric, network.depth_kind) == (True, "metric")
     network.metric = False
     assert (network.metric, network.depth_kind) == (False, "scale")
+
+
+def test_self_doubt_grows_with_distance_and_where_the_mirror_image_disagrees(images) -> None:
+    image = (255 * images[0].permute(1, 2, 0)).byte().numpy()
+    alone, mirrored = (SelfDoubting(LeftRight(), mirror=mirror) for mirror in (False, True))
+    (depth, plain), (same, doubt) = alone.predict_with_sigma(image), mirrored.predict_with_sigma(image)
+    np.testing.assert_array_equal(depth, LeftRight().predict(image))
+    np.testing.assert_array_equal(depth, same)
+    assert plain[:, -5:].mean() > plain[:, :5].mean()  # the far side
+    assert mirrored.estimator.calls == alone.estimator.calls == 1
+    # In the middle of the picture both sides are said to be alike, and at its borders they are not.
+    assert (doubt / plain)[:, [0, -1]].mean() > (doubt / plain)[:, 31:33].mean()
+    assert mirrored.train()(images).sigma is None
+
+
+def test_what_self_doubt_learnt_lies_beside_the_weights(tmp_path, images) -> None:
+    taught = SelfDoubting(LeftRight()).eval()
+    taught.sigma_head().scale(3.0)
+    taught.save_weights(tmp_path)
+    told = SelfDoubting(LeftRight(), learnt=tmp_path / SelfDoubting.FILE).eval()
+    read = SelfDoubting(LeftRight()).eval()
+    read.load_weights(tmp_path)
+    LeftRight().load_weights(tmp_path)  # the network's own are read without it
+    for other in (told, read):
+        torch.testing.assert_close(other(images).sigma, taught(images).sigma, rtol=0, atol=0)
+    with pytest.raises(WeightsError, match="no weight file"):
+        SelfDoubting(LeftRight(), learnt=tmp_path / "none.pth")
 
 
 class TwoScales(Constant):

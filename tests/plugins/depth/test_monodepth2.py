@@ -12,6 +12,7 @@ import torch
 
 import prgbd
 from prgbd.core.errors import ConfigError, WeightsError
+from prgbd.core.sigma_head import START
 from prgbd.core.testing.conformance import check_depth_estimator
 from prgbd.plugins.depth.monodepth2 import Monodepth2
 from prgbd.plugins.depth.monodepth2.decoder import Head, disparity_to_depth
@@ -255,3 +256,48 @@ def test_within_finest_scale_the_finest_depth_is_the_same_and_alone(network, ima
         assert torch.equal(finest.disparities[0], plain.disparities[0])
         assert (len(finest.depths), len(finest.disparities)) == (1, 1)
         assert len(network(images[0]).depths) == len(plain.depths) == 4
+
+
+def test_uncertainty_leaves_depth_as_it_is_and_is_stored_beside_it(tmp_path: Path) -> None:
+    plain, headed = (Monodepth2(**SMALL, uncertainty=wanted).eval() for wanted in (None, True))
+    image = np.random.default_rng(0).integers(0, 255, (64, 96, 3), dtype=np.uint8)
+    depth, none = plain.predict_with_sigma(image)
+    same, sigma = headed.predict_with_sigma(image)
+    np.testing.assert_array_equal(depth, same)
+    assert none is None
+    np.testing.assert_allclose(sigma, START, rtol=1e-5)
+    check_depth_estimator(headed)
+    headed.sigma_head().assign(torch.linspace(-0.1, 0.1, 240), -2.0)
+    headed.save_weights(tmp_path)
+    expected = headed.predict_with_sigma(image)[1]
+    assert expected.std() > 0
+    for wanted, there in ((None, True), (True, True), (False, False)):
+        read = Monodepth2(weights=tmp_path, uncertainty=wanted)
+        again, told = read.predict_with_sigma(image)
+        np.testing.assert_array_equal(again, depth)
+        assert (told is not None) == there
+        if told is not None:
+            np.testing.assert_array_equal(told, expected)
+
+
+def test_weights_without_uncertainty_get_a_head_that_knows_nothing(official: Path) -> None:
+    network = Monodepth2(weights=official, uncertainty=True)
+    network.sigma_head().scale(2.0)
+    network.load_weights(official)
+    image = np.zeros((64, 96, 3), np.uint8)
+    np.testing.assert_allclose(network.predict_with_sigma(image)[1], START, rtol=1e-5)
+    assert Monodepth2(weights=official).sigma_head() is None
+
+
+def test_features_belong_to_the_image_where_a_margin_was_added(tmp_path: Path) -> None:
+    network = Monodepth2(height=72, width=104, uncertainty=True).eval()
+    images = torch.rand((1, 3, 72, 104), generator=torch.Generator().manual_seed(0))
+    maps = network.sigma_features(images)
+    assert [tuple(m.shape) for m in maps] == [(1, 16 << s, 72 >> s, 104 >> s) for s in range(4)]
+    assert network(images).sigma.shape == (1, 1, 72, 104)
+
+
+def test_the_demo_weights_know_how_wrong_they_are() -> None:
+    head = prgbd.make_depth("monodepth2", weights="demo").sigma_head()
+    assert head is not None
+    assert float(head.weight.abs().sum()) > 0

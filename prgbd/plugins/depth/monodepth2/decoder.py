@@ -80,6 +80,10 @@ class DepthDecoder(nn.Module):
         self.decoder = nn.ModuleList(layers)
 
     def forward(self, features: list[Tensor], scales: int = SCALES) -> tuple[Tensor, ...]:
+        """Decode the features of ``ResnetEncoder``; see ``decoded`` for the arguments and what comes first there."""
+        return self.decoded(features, scales)[0]
+
+    def decoded(self, features: list[Tensor], scales: int = SCALES) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         """Decode the features of ``ResnetEncoder``.
 
         Args:
@@ -87,21 +91,25 @@ class DepthDecoder(nn.Module):
             scales: How many disparities to compute, counted from the finest.
 
         Returns:
-            Disparities in (0, 1), float32, finest first: (B, 1, H / 2**s, W / 2**s) for s = 0, 1, ...
+            Disparities in (0, 1), float32, finest first: (B, 1, H / 2**s, W / 2**s) for s = 0, 1, ...; and the maps of
+            ``CHANNELS[s]`` channels that they, and the coarser ones, are computed from.
         """
         x = features[-1]
         disparities: list[Tensor] = []
+        maps: list[Tensor] = []
         for step in range(4, -1, -1):
             x = self.decoder[2 * (4 - step)](x)
             x = F.interpolate(x, scale_factor=2.0, mode="nearest")
             if step > 0:
                 x = torch.cat([x, features[step - 1]], dim=1)
             x = self.decoder[2 * (4 - step) + 1](x)
+            if step < SCALES:
+                maps.append(x)
             if step < scales:
                 # A disparity in half precision has too few digits far away, whatever the layers below compute in.
                 with torch.autocast(x.device.type, enabled=False):
                     disparities.append(torch.sigmoid(self.decoder[10 + step](x.float())))
-        return tuple(reversed(disparities))
+        return tuple(reversed(disparities)), tuple(reversed(maps))
 
 
 def disparity_to_depth(disparity: Tensor, min_depth: float, max_depth: float) -> Tensor:

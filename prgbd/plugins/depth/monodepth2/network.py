@@ -11,9 +11,10 @@ from torch import Tensor, nn
 from prgbd.core.depth import DepthEstimator, read_state_dict
 from prgbd.core.errors import ConfigError, WeightsError
 from prgbd.core.option_ranges import Positive, Seed, Side
+from prgbd.core.sigma_head import SigmaHead
 from prgbd.core.types import DepthPrediction
 from prgbd.plugins.depth.monodepth2 import weights as files
-from prgbd.plugins.depth.monodepth2.decoder import SCALES, DepthDecoder, disparity_to_depth
+from prgbd.plugins.depth.monodepth2.decoder import CHANNELS, SCALES, DepthDecoder, disparity_to_depth
 from prgbd.plugins.depth.monodepth2.encoder import ResnetEncoder
 from prgbd.plugins.depth.monodepth2.pose import PoseNetwork
 
@@ -32,6 +33,8 @@ class Monodepth2(DepthEstimator):
         max_depth: Farthest depth that the network can express.
         imagenet_weights: File with torchvision's ResNet-18 weights to start a fresh network from.
         seed: Seed of a fresh network.
+        uncertainty: Predict the standard deviation of log depth as well: null where ``weights`` bring the head for it
+            (``uncertainty.pth``), true with a fresh one otherwise, false never. Depth is the same with and without.
 
     Raises:
         ConfigError: If a size or the depth range cannot work.
@@ -47,6 +50,7 @@ class Monodepth2(DepthEstimator):
         max_depth: Positive = 100.0,
         imagenet_weights: str | Path | None = None,
         seed: Seed = 0,
+        uncertainty: bool | None = None,
     ) -> None:
         super().__init__()
         if not 0 < min_depth < max_depth:
@@ -60,6 +64,8 @@ class Monodepth2(DepthEstimator):
             torch.manual_seed(self.seed)
             self.encoder = ResnetEncoder()
             self.depth = DepthDecoder()
+        self._wants_uncertainty = uncertainty
+        self.uncertainty = SigmaHead(CHANNELS[:SCALES]) if uncertainty else None
         self._keep_pose(None)
         self.input_size = DEFAULT_SIZE
         if self.imagenet_weights is not None:
@@ -82,18 +88,31 @@ class Monodepth2(DepthEstimator):
         Args:
             images: (B, 3, H, W) RGB in [0, 1]; H and W are multiples of 8.
         """
+        disparities, maps = self._decoded(images, 1 if self.only_finest else SCALES)
+        depths = tuple(disparity_to_depth(disparity, *self.depth_range) for disparity in disparities)
+        return DepthPrediction(depths, disparities, None if self.uncertainty is None else self.uncertainty(maps))
+
+    def sigma_head(self) -> SigmaHead | None:
+        """See ``DepthEstimator.sigma_head``."""
+        return self.uncertainty
+
+    def sigma_features(self, images: Tensor) -> tuple[Tensor, ...]:
+        """Return the maps of the decoder's last four steps."""
+        return self._decoded(images, 1)[1]
+
+    def _decoded(self, images: Tensor, scales: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """Return what ``DepthDecoder.decoded`` does, without the margin."""
         height, width = images.shape[-2:]
         top, bottom = _margin(height)
         left, right = _margin(width)
         if top or bottom or left or right:
             images = F.pad(images, (left, right, top, bottom), mode="reflect")
-        scales = 1 if self.only_finest else SCALES
-        disparities = tuple(
-            disparity[..., top >> scale : (top + height) >> scale, left >> scale : (left + width) >> scale]
-            for scale, disparity in enumerate(self.depth(self.encoder(images), scales))
-        )
-        depths = tuple(disparity_to_depth(disparity, *self.depth_range) for disparity in disparities)
-        return DepthPrediction(depths, disparities)
+
+        def inner(scale: int, of: Tensor) -> Tensor:
+            return of[..., top >> scale : (top + height) >> scale, left >> scale : (left + width) >> scale]
+
+        disparities, maps = self.depth.decoded(self.encoder(images), scales)
+        return tuple(inner(*item) for item in enumerate(disparities)), tuple(inner(*item) for item in enumerate(maps))
 
     def pose_network(self) -> nn.Module:
         """Return the pose network: the loaded one, or a fresh one; the same object at every call.
@@ -123,6 +142,8 @@ class Monodepth2(DepthEstimator):
         size = {"height": height, "width": width, "use_stereo": False}
         files.write_part(self.encoder, folder / files.ENCODER, half=half, extra=size)
         files.write_part(self.depth, folder / files.DEPTH, half=half)
+        if self.uncertainty is not None:
+            files.write_part(self.uncertainty, folder / files.UNCERTAINTY, half=False)
         if pose and self._pose is not None:
             files.write_part(self._pose.encoder, folder / files.POSE_ENCODER, half=half)
             files.write_part(self._pose.decoder, folder / files.POSE, half=half)
@@ -138,11 +159,23 @@ class Monodepth2(DepthEstimator):
         files.load_part(self.encoder, state, folder / files.ENCODER)
         files.load_part(self.depth, read_state_dict(folder / files.DEPTH), folder / files.DEPTH)
         self.input_size = size or self.input_size
+        self._load_uncertainty(folder / files.UNCERTAINTY)
         if (folder / files.POSE_ENCODER).is_file() and (folder / files.POSE).is_file():
             pose = PoseNetwork()
             for part, name in ((pose.encoder, files.POSE_ENCODER), (pose.decoder, files.POSE)):
                 files.load_part(part, read_state_dict(folder / name), folder / name)
             self._keep_pose(pose)
+
+    def _load_uncertainty(self, path: Path) -> None:
+        """Read the head of uncertainty; it knows nothing where the weights bring none."""
+        if self._wants_uncertainty is False or not (self._wants_uncertainty or path.is_file()):
+            self.uncertainty = None
+            return
+        self.uncertainty = self.uncertainty or SigmaHead(CHANNELS[:SCALES]).to(next(self.parameters()).device)
+        if path.is_file():
+            files.load_part(self.uncertainty, read_state_dict(path), path)
+        else:
+            self.uncertainty.reset()
 
     def _keep_pose(self, pose: PoseNetwork | None) -> None:
         self._pose: PoseNetwork | None

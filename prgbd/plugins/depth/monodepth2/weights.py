@@ -14,6 +14,8 @@ from prgbd.core.tensor_files import write_tensors
 from prgbd.io.files import atomic_path
 
 ENCODER, DEPTH, POSE_ENCODER, POSE = "encoder.pth", "depth.pth", "pose_encoder.pth", "pose.pth"
+UNCERTAINTY = "uncertainty.pth"
+"""prgbd's own, beside the published files."""
 EXTRA = ("height", "width", "use_stereo")
 DEMO = Path(__file__).parents[3] / "assets" / "monodepth2_demo"
 """Weights that ship with prgbd; the README in the folder says how they are made."""
