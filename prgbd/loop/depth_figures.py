@@ -63,7 +63,8 @@ def write_samples(sensors: Seq[DepthSensor], path: Path, count: int = SAMPLES) -
     """Write a few frames with their predicted and true depth, the same frames in every loop.
 
     The file holds ``images`` (n, H, W, 3) uint8, ``depth`` (n, H, W) float32 in the network's unit, ``truth``
-    (n, H, W) float32 metres with 0 where unknown (absent without any), ``frame_index`` (n,) and ``sequence`` (n,).
+    (n, H, W) float32 metres with 0 where unknown (absent without any), ``sigma`` (n, H, W) float16, the predicted
+    standard deviation of log depth (absent where not all frames have it), ``frame_index`` (n,) and ``sequence`` (n,).
     Sequences of another size than the first are resized to it.
 
     Args:
@@ -75,7 +76,9 @@ def write_samples(sensors: Seq[DepthSensor], path: Path, count: int = SAMPLES) -
     share = max(1, count // max(len(chosen), 1))
     camera = chosen[0].sequence.camera
     size = (camera.width, camera.height)
-    columns: dict[str, list[Any]] = {"images": [], "depth": [], "truth": [], "frame_index": [], "sequence": []}
+    columns: dict[str, list[Any]] = {
+        name: [] for name in ("images", "depth", "truth", "sigma", "frame_index", "sequence")
+    }
     for sensor in chosen:
         for index in evenly(len(sensor), share + 2)[1:-1] if len(sensor) > share + 2 else evenly(len(sensor), share):
             frame = sensor.frame(int(index))
@@ -83,11 +86,16 @@ def write_samples(sensors: Seq[DepthSensor], path: Path, count: int = SAMPLES) -
             columns["images"].append(cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA))
             columns["depth"].append(cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST))
             columns["truth"].append(_truth(sensor.sequence, int(index), size))
+            if frame.depth_sigma is not None:
+                sigma = cv2.resize(frame.depth_sigma, size, interpolation=cv2.INTER_NEAREST)
+                columns["sigma"].append(sigma.astype(np.float16))
             columns["frame_index"].append(int(index))
             columns["sequence"].append(sensor.sequence.name)
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     if not arrays["truth"].any():
         del arrays["truth"]
+    if len(columns["sigma"]) < len(columns["depth"]):
+        del arrays["sigma"]
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **arrays)  # type: ignore[arg-type]
 

@@ -16,6 +16,7 @@ from prgbd.loop.loop_parts import LoopParts
 from prgbd.loop.outcome import Failures
 from prgbd.loop.sensing import DepthSensor
 from prgbd.loop.slam_runs import SlamInput, describe_pose, pose_figures, run_slam
+from prgbd.loop.uncertainty_figures import describe_uncertainty, uncertainty_figures
 from prgbd.training.supervision import measured_gap
 
 # Networks that know their scene err by 10 to 20 % against triangulated depth, those that do not by 40 to 50 %.
@@ -63,6 +64,9 @@ class PoseRefinement:
         depth = self.store.step(self._step("depth"), lambda: self._evaluate_depth(sensors, tests))
         if depth and depth["images"]:
             self.monitor.say(describe_depth(depth))
+        uncertainty = self.store.step(self._step("uncertainty"), lambda: self._judge_uncertainty(sensors, tests))
+        if uncertainty:
+            self.monitor.say(describe_uncertainty(uncertainty))
         seconds = self.store.step(self._step("seconds"), lambda: time.perf_counter() - began)
         if self.settings.sensing.cache is None:
             for sensor in (*sensors, *tests):
@@ -72,6 +76,7 @@ class PoseRefinement:
             "name": loop_name(self.loop),
             "pose": pose,
             "depth": depth,
+            "uncertainty": uncertainty,
             "training": None,
             "baseline": {name: figures["baseline"] for name, figures in sensed.items()},
             "depth_max": {name: figures["depth_max"] for name, figures in sensed.items()},
@@ -83,7 +88,9 @@ class PoseRefinement:
         """Forget what was made of fewer recordings: one that failed before may be there in a run that goes on."""
         step = self._step("recordings")
         if self.store.is_done(step) and self.store.result(step) != names:
-            self.store.forget(*(self._step(name) for name in ("depth", "refine", "seconds")), "best_weights")
+            self.store.forget(
+                *(self._step(name) for name in ("depth", "uncertainty", "refine", "seconds")), "best_weights"
+            )
             self.store.forget_below(*(step_name(loop) for loop in range(self.loop + 1, self.settings.max_loops + 1)))
         self.store.finish(step, names)
 
@@ -147,8 +154,15 @@ class PoseRefinement:
         for test in tests:
             test.prepare()
         write_samples(tests or sensors, self.store.loop(self.loop, "depth", "samples.npz"))
-        tested = tests or sensors[len(self.parts.sequences) :] or sensors
-        return depth_figures(tested, self.settings.evaluation)
+        return depth_figures(self._tested(sensors, tests), self.settings.evaluation)
+
+    def _judge_uncertainty(self, sensors: list[DepthSensor], tests: list[DepthSensor]) -> dict[str, Any] | None:
+        """What the network says of its error, on the same images, and at SLAM's points of all recordings."""
+        results = ((sensor, self.parts.result(self.loop, sensor.sequence)) for sensor in sensors)
+        return uncertainty_figures(self._tested(sensors, tests), self.settings.evaluation, results)
+
+    def _tested(self, sensors: list[DepthSensor], tests: list[DepthSensor]) -> list[DepthSensor]:
+        return tests or sensors[len(self.parts.sequences) :] or sensors
 
     def _step(self, *parts: str) -> str:
         return step_name(self.loop, *parts)

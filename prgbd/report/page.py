@@ -12,6 +12,7 @@ from prgbd.report.drawing import Drawing
 from prgbd.report.reading import Run, first_and_last_samples, open_run
 from prgbd.report.sequences import MOST_SEQUENCES, sequence_parts
 from prgbd.report.templates import render as render_template
+from prgbd.report.uncertainty import uncertainty_curves
 from prgbd.report.words import describe
 
 LARGEST = 8_000_000  # bytes; a page beyond that is slow to open on a phone
@@ -71,6 +72,7 @@ def render(run: Run) -> str:
         "sequences": sequence_parts(run),
         "most_sequences": MOST_SEQUENCES,
         "ranges": curves.range_curves(run),
+        "uncertainty": uncertainty_curves(run),
         "training": _training(run),
         "tables": [t for t in (tables.pose_table(run.summary), tables.depth_table(run.summary)) if not t.frame.empty],
         "versions": _versions(run),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prgbd.report.reading import DepthSamples
 
 UNKNOWN = (128, 134, 143)
-ERROR_LIMIT = 0.5  # relative error at the end of the colour scale
+ERROR_LIMIT = 0.5  # relative error, or predicted deviation of log depth, at the end of the colour scale
 DEPTH_MAP, ERROR_MAP = "magma_r", "inferno"
 
 
@@ -24,12 +24,14 @@ class Prediction:
         picture: (H, W, 3) uint8.
         error_picture: (H, W, 3) uint8 of the relative error, or None without truth.
         abs_rel: Mean relative error after median scaling, or None without truth.
+        sigma_picture: (H, W, 3) uint8 of the predicted deviation of log depth, or None where there is none.
     """
 
     label: str
     picture: NDArray[np.uint8]
     error_picture: NDArray[np.uint8] | None = None
     abs_rel: float | None = None
+    sigma_picture: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,11 @@ class DepthRow:
     near: float
     far: float
 
+    @property
+    def has_sigma(self) -> bool:
+        """Whether a prediction says how wrong it may be."""
+        return any(prediction.sigma_picture is not None for prediction in self.predictions)
+
 
 def depth_rows(loops: list[tuple[str, DepthSamples]], most: int = 4) -> list[DepthRow]:
     """Put the samples of some loops side by side, frame by frame; frames that not all loops have are left out."""
@@ -74,19 +81,29 @@ def _row(loops: list[tuple[str, DepthSamples]], key: tuple[str, int]) -> DepthRo
     refined = depths[-1][np.isfinite(depths[-1]) & (depths[-1] > 0)]
     near, far = np.percentile(refined, [2, 98]) if len(refined) else (1.0, 2.0)
     far = max(far, near * 1.05)
-    predictions = [_prediction(name, depth, truth, near, far) for (name, _), depth in zip(loops, depths, strict=True)]
+    sigmas = [None if samples.sigma is None else samples.sigma[i] for (_, samples), i in zip(loops, at, strict=True)]
+    predictions = [
+        _prediction(name, depth, sigma, truth, near, far)
+        for (name, _), depth, sigma in zip(loops, depths, sigmas, strict=True)
+    ]
     picture = None if truth is None else depth_picture(thicken(truth), near, far)
     return DepthRow(key[0], key[1], loops[0][1].images[at[0]], picture, predictions, float(near), float(far))
 
 
 def _prediction(
-    label: str, depth: NDArray[np.float32], truth: NDArray[np.float32] | None, near: float, far: float
+    label: str,
+    depth: NDArray[np.float32],
+    sigma: NDArray[np.float32] | None,
+    truth: NDArray[np.float32] | None,
+    near: float,
+    far: float,
 ) -> Prediction:
     picture = depth_picture(depth, near, far)
+    doubt = None if sigma is None else error_picture(sigma)
     if truth is None:
-        return Prediction(label, picture)
+        return Prediction(label, picture, sigma_picture=doubt)
     error = relative_error(depth, truth)
-    return Prediction(label, picture, error_picture(error), float(np.nanmean(error)))
+    return Prediction(label, picture, error_picture(error), float(np.nanmean(error)), doubt)
 
 
 def _to_one_scale(depths: list[NDArray[np.float32]], reference: NDArray[np.float32]) -> list[NDArray[np.float32]]:

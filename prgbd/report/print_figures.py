@@ -18,6 +18,7 @@ from prgbd.report.curves import range_curves
 from prgbd.report.drawing import STYLE, new_figure, to_bytes
 from prgbd.report.pictures import DepthRow
 from prgbd.report.reading import Run, first_and_last_samples, open_run
+from prgbd.report.uncertainty import uncertainty_curves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +34,8 @@ def write_figures(folder: Path | str, formats: Iterable[str] = DEFAULT) -> list[
 
     ``trajectory-SEQ`` has the truth, the baselines (SLAM on the images alone, the pose network) and the first and the
     kept loop, which is the paper's first figure; ``depth`` the depth maps before and after; ``METRIC-by-loop``,
-    ``METRIC-by-cap`` and ``METRIC-by-distance`` the curves of the report.
+    ``METRIC-by-cap``, ``METRIC-by-distance``, ``calibration-REFERENCE`` and ``sparsification-REFERENCE`` the curves of
+    the report.
 
     Args:
         folder: The run folder.
@@ -67,7 +69,7 @@ def all_figures(run: Run) -> list[tuple[str, Figure]]:
     """Return the figures of a run with their names."""
     found: list[tuple[str, Figure | None]] = [(f"trajectory-{name}", _trajectory(run, name)) for name in run.sequences]
     found.append(("depth", _depth(run)))
-    found += [(curve.name, curve.figure) for curve in range_curves(run)]
+    found += [(curve.name, curve.figure) for curve in (*range_curves(run), *uncertainty_curves(run))]
     return [(name, figure) for name, figure in found if figure is not None]
 
 

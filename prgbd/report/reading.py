@@ -40,12 +40,14 @@ class DepthSamples:
         depth: (n, H, W) float32 prediction.
         truth: (n, H, W) float32 metres with 0 for unknown, or None.
         keys: Sequence name and frame number of each.
+        sigma: (n, H, W) float32 predicted standard deviation of log depth, or None.
     """
 
     images: NDArray[np.uint8]
     depth: NDArray[np.float32]
     truth: NDArray[np.float32] | None
     keys: list[tuple[str, int]]
+    sigma: NDArray[np.float32] | None = None
 
 
 @dataclass
@@ -157,12 +159,15 @@ def read_samples(path: Path) -> DepthSamples:
         truth = arrays.get("truth")
         if truth is not None and (truth.shape != depth.shape or truth.dtype.kind not in "fiu"):
             truth = None
+        sigma = arrays.get("sigma")
+        if sigma is not None and (sigma.shape != depth.shape or sigma.dtype.kind != "f"):
+            sigma = None
         images = arrays["images"]
         if depth.ndim != 3 or images.dtype != np.uint8 or images.shape != (*depth.shape, 3) or not depth.size:
             raise ValueError(f"images {images.shape} {images.dtype} for depth {depth.shape}")
         if not np.isfinite(depth).all():
             raise ValueError("depth that is not finite")
-        return DepthSamples(images, depth, truth, keys)
+        return DepthSamples(images, depth, truth, keys, None if sigma is None else sigma.astype(np.float32))
     except _DAMAGED as error:
         raise DataError(f"{path} is not a whole set of depth samples ({type(error).__name__}: {error}).") from error
 

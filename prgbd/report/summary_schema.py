@@ -66,12 +66,14 @@ _DEPTH = {
     "by_cap": [{"cap": _cap, OTHER: _number}],
     OTHER: _number,
 }
+_UNCERTAINTY = {"calibration": [_NUMBERS], "sparsification": [_NUMBERS], OTHER: _number}
 _LOOP = {
     "loop": _number,
     "name": _text,
     "folder": _inside,
     "pose": {OTHER: _POSE},
     "depth": _DEPTH,
+    "uncertainty": {OTHER: _UNCERTAINTY},
     "training": {"still_frames": _NUMBERS, OTHER: _scalar},
     "baseline": _NUMBERS,
     "depth_max": _NUMBERS,

@@ -21,6 +21,7 @@ from prgbd.loop.depth_figures import depth_figures, write_samples
 from prgbd.loop.outcome import Failures
 from prgbd.loop.sensing import DepthSensor
 from prgbd.loop.summary import write_summary
+from prgbd.loop.uncertainty_figures import describe_uncertainty, uncertainty_figures
 
 _PNG_MAX = 65535
 _UNITS = {
@@ -43,7 +44,7 @@ def run(job: Job) -> None:
             folder = job.shown(job.store.path("depth", name))
             job.display.say(f"  {name}: {written[name]['frames']} depth maps in {folder}")
     if job.store.is_done("recordings") and job.store.result("recordings") != list(written):
-        job.store.forget("loops/00/depth")  # one that failed before is there now
+        job.store.forget("loops/00/depth", "loops/00/uncertainty")  # one that failed before is there now
     job.store.finish("recordings", list(written))
     sensors = [sensor for sensor in sensors if sensor.sequence.name in written]
     summary = evaluate(job, sensors, {"depth_maps": written}, errors=failures.reasons)
@@ -92,12 +93,16 @@ def evaluate(
         return depth_figures(sensors, job.options.evaluation)
 
     figures = job.store.step("loops/00/depth", work)
+    uncertainty = job.store.step("loops/00/uncertainty", lambda: uncertainty_figures(sensors, job.options.evaluation))
+    if uncertainty:
+        job.display.say(describe_uncertainty(uncertainty))
     statistics = {sensor.sequence.name: sensor.prepare() for sensor in sensors}
     entry = {
         "loop": 0,
         "name": job.parts.ids["depth"],
         "pose": {},
         "depth": figures,
+        "uncertainty": uncertainty,
         "training": training,
         "baseline": {name: found.adaptive_baseline for name, found in statistics.items()},
         "depth_max": {name: found.depth_max for name, found in statistics.items()},
