@@ -39,6 +39,8 @@ class FeatureOptions:
         levels: Number of pyramid levels.
         fast_threshold: FAST threshold tried first in every cell.
         fast_threshold_low: FAST threshold where the first finds nothing.
+        align: Whether keypoints of keyframes are moved to where the patches around them agree, and lose their point
+            where they do not; false as ORB-SLAM2, whose maps shrink where the camera drives forward.
     """
 
     count: KeypointCount | Auto = AUTO
@@ -46,6 +48,7 @@ class FeatureOptions:
     levels: Annotated[int, Range(1, 16)] = 8
     fast_threshold: Annotated[int, Range(1, 254)] = 20
     fast_threshold_low: Annotated[int, Range(1, 254)] = 7
+    align: bool = True
 
     def __post_init__(self) -> None:
         check_types(self, "slam.features")

@@ -23,6 +23,7 @@ from prgbd.plugins.slam.orb_gtsam.diagnostics.frame_figures import depth_figures
 from prgbd.plugins.slam.orb_gtsam.diagnostics.map_health import doubts_about
 from prgbd.plugins.slam.orb_gtsam.diagnostics.stage_times import Stopwatch
 from prgbd.plugins.slam.orb_gtsam.features.frame_reader import FrameReader
+from prgbd.plugins.slam.orb_gtsam.features.recent_images import RecentImages
 from prgbd.plugins.slam.orb_gtsam.loop_closing.keyframe_database import KeyframeDatabase
 from prgbd.plugins.slam.orb_gtsam.loop_closing.loop_closer import LoopCloser
 from prgbd.plugins.slam.orb_gtsam.map.adjustment import MapAdjuster
@@ -33,6 +34,7 @@ from prgbd.plugins.slam.orb_gtsam.map.map_correction import follow_baseline
 from prgbd.plugins.slam.orb_gtsam.map.map_file import load_map, loaded_keyframes, save_map
 from prgbd.plugins.slam.orb_gtsam.mapping.backend import MappingBackend
 from prgbd.plugins.slam.orb_gtsam.mapping.local_mapper import LocalMapper
+from prgbd.plugins.slam.orb_gtsam.mapping.observation_alignment import ObservationAligner
 from prgbd.plugins.slam.orb_gtsam.mapping.scale_drift import correct_scale, give_depth_back
 from prgbd.plugins.slam.orb_gtsam.mapping.self_calibration import self_calibrate
 from prgbd.plugins.slam.orb_gtsam.mapping.threaded_backend import ThreadedBackend
@@ -51,6 +53,8 @@ log = logging.getLogger(__name__)
 
 # Modes whose last adjustment asks whether the focal length fits; a sensor's depth says where it does not.
 _SELF_CALIBRATED = ("mono", "pseudo_rgbd")
+# Keyframes whose images are kept, to align what new ones see.
+_RECENT = 30
 
 
 class OrbGtsamSLAM(GeometricSLAM):
@@ -138,7 +142,15 @@ class OrbGtsamSLAM(GeometricSLAM):
     def _make_backend(self) -> MappingBackend:
         """Make the mapper's side; after the mapper a keyframe passes the loop closer, then enters the database."""
         settings = self.settings
-        mapper = LocalMapper(settings, self._camera, self._map, self._covisibility, self._adjuster, self._watch)
+        self._images = RecentImages(self._reader.left.sizes, _RECENT)
+        aligner = (
+            ObservationAligner(self._map, self._camera, self._images, self._reader.lens)
+            if settings.features.align
+            else None
+        )
+        mapper = LocalMapper(
+            settings, self._camera, self._map, self._covisibility, self._adjuster, self._watch, aligner
+        )
         mapper.after_culling.append(self._database.remove)
         backend = (
             ThreadedBackend(mapper, self._watch, settings.mapping.queue)
@@ -208,6 +220,8 @@ class OrbGtsamSLAM(GeometricSLAM):
             with self._map.lock:
                 current = TrackedFrame(frame.index, frame.timestamp, len(self._front_end.history.states), features)
                 result, handovers = self._front_end.track(current)
+                if handovers:  # of two keyframes that start a map the first one saw an earlier frame
+                    self._images.add(handovers[-1].keyframe, self._reader.left.pyramid)
                 sizes = map_sizes(self._map)
             for handover in handovers:
                 self._backend.insert_keyframe(handover.keyframe, local_mapping=handover.local_mapping)

@@ -21,6 +21,13 @@ class Undistortion:
         self._coefficients = np.array(camera.distortion, np.float64)
         self._size = np.array([camera.width, camera.height])
 
+    def back(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where the distorted image shows undistorted pixels, (N, 2)."""
+        if len(uv) == 0:
+            return uv
+        rays = np.concatenate([(uv - self._K[:2, 2]) / self._K[[0, 1], [0, 1]], np.ones((len(uv), 1))], axis=1)
+        return np.asarray(cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self._K, self._coefficients)[0][:, 0])
+
     def __call__(self, uv: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Undistort pixels.
 

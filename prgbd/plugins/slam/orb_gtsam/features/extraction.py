@@ -85,11 +85,11 @@ class OrbExtractor:
         shares = 1.0 / self.scales
         self._wanted = np.floor(self.capacity * shares / shares.sum()).astype(int)
         self._wanted[-1] = self.capacity - int(self._wanted[:-1].sum())
-        self._sizes = [(round(width / s), round(height / s)) for s in self.scales]
+        self.sizes = [(round(width / s), round(height / s)) for s in self.scales]
         self._orb = cv2.ORB.create(
             nfeatures=self.capacity, nlevels=1, edgeThreshold=EDGE, patchSize=31, fastThreshold=options.fast_threshold
         )
-        self._scores = [np.zeros((h, w), np.uint8) for w, h in self._sizes]
+        self._scores = [np.zeros((h, w), np.uint8) for w, h in self.sizes]
         # Every fourth pixel being a local maximum is more than an image can hold.
         self._xy = np.empty((width * height // 4 + 1, 2), np.int32)
         self._score = np.empty(len(self._xy), np.int32)
@@ -124,7 +124,7 @@ class OrbExtractor:
         parts: list[_Level] = [_NOTHING]
         level: NDArray[np.uint8] = np.asarray(gray, np.uint8)
         self.pyramid = []
-        for octave, size in enumerate(self._sizes):
+        for octave, size in enumerate(self.sizes):
             if min(size) <= 2 * EDGE + 2:
                 break
             if octave:

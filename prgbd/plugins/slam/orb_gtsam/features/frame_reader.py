@@ -40,7 +40,7 @@ class FrameReader:
             )
         self.left = OrbExtractor(options, camera.width, camera.height)
         self._right = OrbExtractor(options, camera.width, camera.height) if mode == "stereo" else None
-        self._undistort = Undistortion(camera) if distorted else None
+        self.lens = Undistortion(camera) if distorted else None
 
     def check(self, frame: Frame) -> None:
         """Refuse a frame that does not fit camera and mode.
@@ -73,7 +73,7 @@ class FrameReader:
         """Find the keypoints of a frame, in undistorted pixels, with depth where the mode has it."""
         depth = frame.depth if self.mode in _WITH_DEPTH else None
         features = self.left.extract(
-            frame.image, depth, camera.bf, camera.trusted_depth, camera.noise.border, undistort=self._undistort
+            frame.image, depth, camera.bf, camera.trusted_depth, camera.noise.border, undistort=self.lens
         )
         if self._right is None or frame.right is None:
             return features

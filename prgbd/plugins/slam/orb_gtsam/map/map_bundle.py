@@ -60,6 +60,7 @@ def collect_bundle(
     seen = seen[column[seen[:, 0]] >= 0]
     at, row = seen[:, 0], seen[:, 1]
     octave = kf.octave[at, row]
+    weights = camera.weights(octave, kf.depth[at, row]) if with_depth else camera.inverse_variance[octave]
     problem = BundleProblem(
         cTw=kf.cTw[keyframes],
         fixed=fixed,
@@ -67,7 +68,17 @@ def collect_bundle(
         pose_row=column[at],
         point_row=np.ascontiguousarray(seen[:, 2]),
         uvr=measurements(kf.uv[at, row], kf.u_right[at, row] if with_depth else np.full(len(at), -1.0)),
-        inv_sigma2=camera.weights(octave, kf.depth[at, row]) if with_depth else camera.inverse_variance[octave],
+        inv_sigma2=_with_precision(slam_map, at, row, points[seen[:, 2]], weights),
         camera=camera.intrinsics,
     )
     return MapBundle(keyframes, points, seen, problem)
+
+
+def _with_precision(
+    slam_map: Map, at: IntArray, row: IntArray, points: IntArray, weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weigh keypoints by how their patches agreed with those of the same point, where that was tried."""
+    kf = slam_map.keyframes
+    precision = np.where(kf.aligned[at, row] == points, kf.precision[at, row], np.float32(1.0))
+    both = np.repeat(weights[:, None], 2, axis=1) if weights.ndim == 1 else weights
+    return both * np.stack([precision, np.ones_like(precision)], axis=1)

@@ -16,7 +16,7 @@ class KeyframeColumns(Columns):
 
     ``scale`` is the product of all scales by which loops changed the map around a keyframe: lengths that were noted
     at one time are multiplied by the quotient of its value now and then. ``log_depth_scale`` is the logarithm of what
-    the measured depth was divided by.
+    the measured depth was divided by. ``aligned`` is the point for which a keypoint was moved to where patches agree.
     """
 
     cTw: FloatArray
@@ -41,6 +41,8 @@ class KeyframeColumns(Columns):
     median_depth: FloatArray
     scale: FloatArray
     log_depth_scale: FloatArray
+    aligned: IntArray
+    precision: NDArray[np.float32]
 
     def __init__(self, capacity: int, cells: int) -> None:
         super().__init__(
@@ -66,6 +68,8 @@ class KeyframeColumns(Columns):
             median_depth=((), np.float64, 0),
             scale=((), np.float64, 1),
             log_depth_scale=((), np.float64, 0),
+            aligned=((capacity,), np.int64, -1),
+            precision=((capacity,), np.float32, 1),
         )
 
 

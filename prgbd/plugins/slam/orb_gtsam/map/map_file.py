@@ -23,7 +23,7 @@ from prgbd.plugins.slam.orb_gtsam.settings import Settings
 # Rebuilt from the other columns when a map is read.
 _LINKS = ("following", "head")
 # Of the run alone: the depth of a finished map is as it was measured.
-_PASSING = ("log_depth_scale",)
+_PASSING = ("log_depth_scale", "aligned", "precision")
 # Columns that hold numbers of keyframes or points.
 _NUMBERS = {
     "parent": "keyframe",

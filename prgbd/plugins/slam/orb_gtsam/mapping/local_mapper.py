@@ -14,6 +14,7 @@ from prgbd.plugins.slam.orb_gtsam.map.covisibility import CovisibilityGraph
 from prgbd.plugins.slam.orb_gtsam.map.culling import cull_new_points, is_redundant
 from prgbd.plugins.slam.orb_gtsam.map.map import Map
 from prgbd.plugins.slam.orb_gtsam.map.merging import merge_duplicates
+from prgbd.plugins.slam.orb_gtsam.mapping.observation_alignment import ObservationAligner
 from prgbd.plugins.slam.orb_gtsam.mapping.triangulation import create_points
 from prgbd.plugins.slam.orb_gtsam.settings import Settings
 
@@ -46,9 +47,11 @@ class LocalMapper:
         covisibility: CovisibilityGraph,
         adjuster: MapAdjuster,
         watch: Stopwatch,
+        aligner: ObservationAligner | None = None,
     ) -> None:
         self.settings, self.camera, self.map = settings, camera, slam_map
         self.covisibility, self.adjuster, self.watch = covisibility, adjuster, watch
+        self.aligner = aligner
         self.after_culling: list[Callable[[int], None]] = []
 
     def process(self, k: int) -> None:
@@ -66,6 +69,9 @@ class LocalMapper:
             self._triangulate(k)
         with watch("merging"):
             self._merge_duplicates(k)
+        if self.aligner is not None:
+            with watch("alignment"), self.map.steps:
+                self.aligner.align(k)
         self._changed()
         if self.settings.optimisation.local_ba and len(self._mapped(k)) > 2:
             with watch("local_ba"):
