@@ -18,6 +18,8 @@ _LIKELY, _OTHERWISE = 0.1, 0.7
 _ARBITRARY_SIGMAS, _ARBITRARY_LENGTHS = (0.5, 1.0), (0.3,)
 # Standard deviation of the scale of a single keyframe's depth, and of the unit of the whole.
 _WHITE, _UNIT = 0.03, 2.0
+# Share of the odds below which a wander makes no difference.
+_NEGLIGIBLE = 1e-4
 # Standard deviation (log) of a drift that geometry leaves quite open.
 _OPEN = 5.0
 
@@ -28,8 +30,8 @@ class ScaleSplit:
 
     Attributes:
         drift: (K,) logarithm of the scale by which the map is too small around every keyframe, in the network's units.
-        sigma: Standard deviation of the network's wander, the most likely one of those that were tried.
-        length: Its correlation length, keyframes.
+        sigma: Standard deviation of the network's wander, the (geometric) mean of those that were tried by their odds.
+        length: Its correlation length, keyframes, the same.
     """
 
     drift: FloatArray
@@ -43,7 +45,8 @@ def split_scale(
     """Split ``log_ratio = unit + drift + wander + noise``, all of them Gaussian, by what each can be.
 
     The drift has the covariance that geometry leaves it. The wander is stationary, so that it averages out over a
-    drive, with the standard deviation and the correlation length that make the ratios most likely.
+    drive. Its standard deviation and correlation length are not known: what each of several would give is averaged by
+    how likely it makes the ratios.
 
     Args:
         log_ratio: (K,) logarithm of the network's depth over the map's at keyframes, NaN where that is not known.
@@ -63,14 +66,23 @@ def split_scale(
     observed = log_ratio[known] - unit
     apart = np.abs(at[known, None] - at[known])
     fixed = covariance[np.ix_(known, known)] + _WHITE**2 * np.eye(len(known)) + _UNIT**2
-    best = max(
-        (_likelihood(fixed + sigma**2 * np.exp(-apart / length), observed) - _surprise(sigma), sigma, length)
+    models = [
+        (sigma, length)
         for sigma in _SIGMAS + (_ARBITRARY_SIGMAS if arbitrary else ())
         for length in _LENGTHS + (_ARBITRARY_LENGTHS if arbitrary else ())
+    ]
+    wanders = [sigma**2 * np.exp(-apart / length) for sigma, length in models]
+    log_odds = [
+        _likelihood(fixed + wander, observed) - _surprise(sigma)
+        for wander, (sigma, _) in zip(wanders, models, strict=True)
+    ]
+    odds = np.exp(np.array(log_odds) - max(log_odds))
+    share = odds / odds.sum()
+    solved = sum(
+        share[i] * np.linalg.solve(fixed + wanders[i], observed) for i in np.flatnonzero(share > _NEGLIGIBLE).tolist()
     )
-    _, sigma, length = best
-    solved = np.linalg.solve(fixed + sigma**2 * np.exp(-apart / length), observed)
     drift = unit + (covariance[:, known] + _UNIT**2) @ solved
+    sigma, length = np.exp(share @ np.log(models)).tolist()
     return ScaleSplit(drift, sigma, length)
 
 
