@@ -24,8 +24,8 @@ _LEAST_KEYFRAMES, _MOST_KEYFRAMES = 3, 600
 _LEAST_VIEWS, _LEAST_DEPTHS = 3, 10
 # Relative depth that a point may be off although its rays meet well.
 _ACCURATE = 0.05
-# By how much the scale drifts more than pixels that err independently would let it: on six recordings its change over 50
-# to 200 keyframes was 13 to 31 standard deviations, as the errors of neighbouring keyframes are much the same.
+# By how much the scale drifts more than pixels that err independently would let it: on six recordings its change over
+# 50 to 200 keyframes was 13 to 31 standard deviations, as the errors of neighbouring keyframes are much the same.
 _OVERCONFIDENCE = 20.0
 _IN_FRONT = 1e-6
 
