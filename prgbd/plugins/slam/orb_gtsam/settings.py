@@ -105,6 +105,7 @@ class KeyframeOptions:
         ratio: Insert when inliers fall below this share of the reference keyframe's points.
         ratio_first: The same while there is one keyframe.
         ratio_mono: The same for mono.
+        ratio_pseudo: The same for pseudo depth, whose aligned keypoints last longer than ORB-SLAM2's.
         thin_mono: In mono, insert as well when inliers are fewer than this share of the frame's keypoints, as fast
             motion leaves few points that three keyframes see and little is expected of a frame; 0 as ORB-SLAM2.
         close_tracked: With measured depth, insert as well when fewer close points than this are tracked and enough
@@ -120,6 +121,7 @@ class KeyframeOptions:
     ratio: NotNegative = 0.75
     ratio_first: NotNegative = 0.4
     ratio_mono: NotNegative = 0.9
+    ratio_pseudo: NotNegative = 0.7
     thin_mono: NotNegative = 0.15
     close_tracked: CountOrZero = 100
     min_interval: CountOrZero = 0

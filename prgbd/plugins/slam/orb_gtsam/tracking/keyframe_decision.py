@@ -50,7 +50,8 @@ def needs_keyframe(
     known = counts >= least
     expected = int(np.count_nonzero(known if doubtful is None else known & ~doubtful))
     needs_close = not camera.mono and _needs_close_points(camera, options.close_tracked, frame)
-    ratio = options.ratio_first if keyframes < 2 else options.ratio
+    later = options.ratio if camera.noise.is_zero else options.ratio_pseudo
+    ratio = options.ratio_first if keyframes < 2 else later
     if camera.without_unit:
         ratio = options.ratio_mono
     overdue = since_last >= fps
