@@ -22,7 +22,9 @@ def pinhole(focal: float) -> PinholeCamera:
     return PinholeCamera(640, 480, focal, focal, 320.0, 240.0)
 
 
-def made(true: float, given: float, *, turning: bool, keyframes: int = 24) -> tuple[Map, CameraModel]:
+def made(
+    true: float, given: float, *, turning: bool, keyframes: int = 24, radial: float = 0.0
+) -> tuple[Map, CameraModel]:
     """Observe a cloud with the true focal length, and place it with noise."""
     rng = np.random.default_rng(5)
     xyz = np.stack([rng.uniform(-6, 6, POINTS), rng.uniform(-3, 3, POINTS), rng.uniform(-6, 6, POINTS)], axis=1)
@@ -36,7 +38,10 @@ def made(true: float, given: float, *, turning: bool, keyframes: int = 24) -> tu
         wTc = inverse(exp_se3(np.array([0.0, angle, 0.0, 0.0, 0.0, 0.0])))
         wTc[:3, 3] = -distance * wTc[:3, 2]
         cTw = inverse(wTc)
-        uv = pinhole(true).project(xyz @ cTw[:3, :3].T + cTw[:3, 3]) + rng.normal(0, 0.4, (POINTS, 2))
+        ideal = pinhole(true).project(xyz @ cTw[:3, :3].T + cTw[:3, 3]) - (320, 240)
+        # What a lens does whose images are straightened by ``radial``, but for terms in its square.
+        seen_at = ideal * (1 - radial * ((ideal / true) ** 2).sum(axis=1, keepdims=True)) + (320, 240)
+        uv = seen_at + rng.normal(0, 0.4, (POINTS, 2))
         none = np.zeros(POINTS, np.float32)
         seen = Features(
             uv.astype(np.float32),
@@ -66,11 +71,26 @@ def test_a_turning_camera_finds_its_focal_length(given: float, solver: str) -> N
     before = length(slam_map)
     found = calibrate_focal_length(slam_map, camera, make_solver(solver), 0, SIGMA)
     assert found is not None
-    assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
+    # The given one keeps a little weight, as the errors of real keypoints are not independent.
+    assert camera.pinhole.fx == pytest.approx(500.0, rel=5e-3)
     assert camera.pinhole.fy == camera.pinhole.fx
-    assert found.factor == pytest.approx(500.0 / given, rel=2e-3)
+    assert found.factor == pytest.approx(500.0 / given, rel=5e-3)
     assert abs(camera.pinhole.fx / 500.0 - 1.0) < 4.0 * found.deviation
     assert length(slam_map) == pytest.approx(before, rel=1e-6)
+
+
+@pytest.mark.parametrize("radial", [-0.025, 0.025])
+def test_distortion_that_is_left_in_the_images_is_found_and_taken_out(radial: float) -> None:
+    slam_map, camera = made(500.0, 500.0, turning=True, radial=radial)
+    ideal, _ = made(500.0, 500.0, turning=True)
+    n = slam_map.keyframes.count
+    before = np.abs(slam_map.keyframes.uv[:n] - ideal.keyframes.uv[:n]).mean()
+    found = calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA)
+    assert found is not None
+    # 300 points leave much of it to the images' word that there is none.
+    assert 0.4 < found.radial / radial < 1.2
+    assert camera.pinhole.fx == pytest.approx(500.0, rel=8e-3)
+    assert np.abs(slam_map.keyframes.uv[:n] - ideal.keyframes.uv[:n]).mean() < 0.7 * before
 
 
 def test_the_map_fits_its_observations_afterwards() -> None:
@@ -104,7 +124,7 @@ def test_the_largest_map_decides() -> None:
     slam_map.keyframes.map_id[:20] = 1
     found = self_calibrate(slam_map, camera, SOLVER, SIGMA)
     assert found["refined"]
-    assert found["factor"] == pytest.approx(500.0 / 490.0, rel=3e-3)
+    assert found["factor"] == pytest.approx(500.0 / 490.0, rel=6e-3)
 
 
 def test_few_keyframes_are_not_asked() -> None:
@@ -124,5 +144,6 @@ def test_pseudo_depth_has_no_say_and_keeps_its_measurements() -> None:
     bf = camera.bf
     found = calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA)
     assert found == calibrate_focal_length(pixels_alone, mono, SOLVER, 0, SIGMA)
-    assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
+    # The given one keeps a little weight, as the errors of real keypoints are not independent.
+    assert camera.pinhole.fx == pytest.approx(500.0, rel=5e-3)
     assert camera.bf == pytest.approx(bf)  # a right column still means the depth that was measured
