@@ -41,7 +41,7 @@ _BETTER = 4.0
 # wrong by up to 0.9 %, so what differs by less is left alone. Distortion must be this many from none.
 _CONTRADICTS, _DISTORTED = 1.5, 2.5
 # Standard deviation of the radial distortion that is left in images that are said to have none: rectified recordings
-# are off by a pixel or two at the borders (KITTI: Cvisic et al., "Recalibrating the KITTI Dataset Camera Setup for
+# are off by some pixels at the borders (KITTI: Cvisic et al., "Recalibrating the KITTI Dataset Camera Setup for
 # Improved Odometry Accuracy", 2021).
 _RADIAL_SIGMA = 0.005
 # A map of fewer keyframes is not asked.
