@@ -27,6 +27,8 @@ def test_an_experiment_of_the_paper_is_its_literal_method(name):
     assert {term.get("residual", "absolute") for term in config["loss"].values()} == {"absolute"}
     assert config["slam"]["depth"]["follow"] is False
     assert config["slam"]["optimisation"]["focal_length_sigma"] == 0
+    assert config["slam"]["features"]["align"] is False
+    assert config["slam"]["keyframes"]["ratio_pseudo"] == config["slam"]["keyframes"]["ratio"] == 0.75
     assert config["task"]["max_loops"] == {"tum": 3, "ablation": 1}.get(name, 5)
     header = (Path(__file__).parents[2] / f"conf/experiment/paper/{name}.yaml").read_text()
     assert f"experiment=paper/{name}" in header

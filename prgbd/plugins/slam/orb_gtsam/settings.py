@@ -39,8 +39,9 @@ class FeatureOptions:
         levels: Number of pyramid levels.
         fast_threshold: FAST threshold tried first in every cell.
         fast_threshold_low: FAST threshold where the first finds nothing.
-        align: Whether keypoints of keyframes are moved to where the patches around them agree, and lose their point
-            where they do not; false as ORB-SLAM2, whose maps shrink where the camera drives forward.
+        align: Whether keypoints of keyframes are moved to where the patches around them agree, and are hardly believed
+            where they do not, or "auto": in mono and with pseudo depth, whose maps shrink without it where the camera
+            drives forward, but not where a sensor or a second camera holds the scale; false as ORB-SLAM2.
     """
 
     count: KeypointCount | Auto = AUTO
@@ -48,7 +49,7 @@ class FeatureOptions:
     levels: Annotated[int, Range(1, 16)] = 8
     fast_threshold: Annotated[int, Range(1, 254)] = 20
     fast_threshold_low: Annotated[int, Range(1, 254)] = 7
-    align: bool = True
+    align: bool | Auto = AUTO
 
     def __post_init__(self) -> None:
         check_types(self, "slam.features")
@@ -57,6 +58,10 @@ class FeatureOptions:
                 f"slam.features.fast_threshold_low is {self.fast_threshold_low}; it must be at most "
                 f"slam.features.fast_threshold={self.fast_threshold}."
             )
+
+    def aligns(self, mode: str) -> bool:
+        """Say whether keypoints are aligned in a mode of the system."""
+        return mode not in ("rgbd", "stereo") if self.align == AUTO else self.align
 
     def count_in(self, width: int, height: int) -> int:
         """Return the number of keypoints to look for in images of ``width`` x ``height`` pixels."""
@@ -243,7 +248,8 @@ class OptimisationOptions:
         focal_length_sigma: Relative standard deviation of the camera's focal length. A map of mono or pseudo depth
             whose pixels know it four times better and contradict it by 1.5 such deviations refines it with all poses
             and points before the last bundle adjustment, and the result names the refined camera. 0 keeps the focal
-            length, as ORB-SLAM2 does.
+            length, as ORB-SLAM2 does. Where the images' radial distortion explains the map without another focal
+            length, that is refined instead.
     """
 
     solver: Solver = "numba"

@@ -145,7 +145,7 @@ class OrbGtsamSLAM(GeometricSLAM):
         self._images = RecentImages(self._reader.left.sizes, _RECENT)
         aligner = (
             ObservationAligner(self._map, self._camera, self._images, self._reader.lens)
-            if settings.features.align
+            if settings.features.aligns(self._mode)
             else None
         )
         mapper = LocalMapper(

@@ -104,8 +104,7 @@ def test_depth_biased_near_by_15_percent_does_less_harm_with_the_model(frames) -
     wrong = [WrongDepth(near_bias=0.3)(frame) for frame in frames]
     # The nearest wall is at half the largest depth, so its depth is 15 % too large.
     believed, doubted = run(wrong, "rgbd"), run(wrong, "pseudo_rgbd", depth={"follow": False})
-    # Aligned keypoints hold their own against wrong depth even where it is believed.
-    assert off(doubted, scale=False) < 0.9 * off(believed, scale=False)
+    assert off(doubted, scale=False) < 0.6 * off(believed, scale=False)
 
 
 def test_the_statistics_tell_how_wrong_depth_is(frames) -> None:

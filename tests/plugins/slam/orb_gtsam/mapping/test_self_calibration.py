@@ -71,10 +71,9 @@ def test_a_turning_camera_finds_its_focal_length(given: float, solver: str) -> N
     before = length(slam_map)
     found = calibrate_focal_length(slam_map, camera, make_solver(solver), 0, SIGMA)
     assert found is not None
-    # The given one keeps a little weight, as the errors of real keypoints are not independent.
-    assert camera.pinhole.fx == pytest.approx(500.0, rel=5e-3)
+    assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
     assert camera.pinhole.fy == camera.pinhole.fx
-    assert found.factor == pytest.approx(500.0 / given, rel=5e-3)
+    assert found.factor == pytest.approx(500.0 / given, rel=2e-3)
     assert abs(camera.pinhole.fx / 500.0 - 1.0) < 4.0 * found.deviation
     assert length(slam_map) == pytest.approx(before, rel=1e-6)
 
@@ -124,7 +123,7 @@ def test_the_largest_map_decides() -> None:
     slam_map.keyframes.map_id[:20] = 1
     found = self_calibrate(slam_map, camera, SOLVER, SIGMA)
     assert found["refined"]
-    assert found["factor"] == pytest.approx(500.0 / 490.0, rel=6e-3)
+    assert found["factor"] == pytest.approx(500.0 / 490.0, rel=3e-3)
 
 
 def test_few_keyframes_are_not_asked() -> None:
@@ -144,6 +143,5 @@ def test_pseudo_depth_has_no_say_and_keeps_its_measurements() -> None:
     bf = camera.bf
     found = calibrate_focal_length(slam_map, camera, SOLVER, 0, SIGMA)
     assert found == calibrate_focal_length(pixels_alone, mono, SOLVER, 0, SIGMA)
-    # The given one keeps a little weight, as the errors of real keypoints are not independent.
-    assert camera.pinhole.fx == pytest.approx(500.0, rel=5e-3)
+    assert camera.pinhole.fx == pytest.approx(500.0, rel=2e-3)
     assert camera.bf == pytest.approx(bf)  # a right column still means the depth that was measured
